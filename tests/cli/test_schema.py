@@ -109,15 +109,16 @@ HOVERS = {  # {kind: table, key, text}
     "swing": ("AnnualTable", "max",
         "Maximum volume of a contract year, in volume_unit/year. Allowed: a number of at least 0."),
     "battery": ("FadeTable", "every",
-        "Energy taken after which the store can hold less, in MWh. Allowed: a number above 0: MWh "
-        "taken."),
+        "Energy that is taken before the store can hold less, in MWh. Allowed: a number above 0: "
+        "MWh taken."),
     "park-and-loan": ("WindowTable", "last",
         "Last day on which gas may flow. Allowed: a date from 1900 to 2200, YYYY-MM-DD."),
     "stores": ("StoresTable", "net_injection",
         "Largest joint flow into the stores, in volume_unit/day. Allowed: a number of at least 0, "
         "or the name of a CSV file with columns date,value."),
     "plant": ("PowerPlantTable", "min_up",
-        "Smallest number of hours on after a start. Allowed: a whole number of hours, 1 to 72."),
+        "Smallest number of hours that the plant stays on after a start. Allowed: a whole number "
+        "of hours, 1 to 72."),
     "pension": ("IndexationTable", "lower_ratio",
         "Funding ratio below which there is no indexation. Allowed: a number of at least 0."),
     "pharma": ("WetMillTable", "speed",
@@ -133,7 +134,7 @@ HOVERS = {  # {kind: table, key, text}
     "book": ("TasksTable", "judge",
         "Share of the contracts whose derivatives are tested by bumps. Allowed: a number from 0 to 1."),
     "calibration": ("HistoryTable", "season",
-        "Number of waves in the season of a year. Allowed: 0, 1 or 2."),
+        "Number of waves of the seasonal pattern in a year. Allowed: 0, 1 or 2."),
 }  # fmt: skip
 
 

@@ -206,7 +206,7 @@ def test_a_case_begins_with_the_balances_of_another(tmp_path):
     ("changes", "words"),
     [
         (MAKE_UP | {"shortfall": "firm"}, "shortfall: .*are paid, and made up"),
-        (MAKE_UP | {"annual": None}, "make_up: .*needs a minimum"),
+        (MAKE_UP | {"annual": None}, "make_up: .*needs an annual minimum"),
         (MAKE_UP | {"rights": {"most": 3}}, "make_up: .*rights"),
         (MAKE_UP | {"side": "put"}, "side: .*call"),
         (MAKE_UP | {"make_up": {"price": 30.0}}, "make_up.price: .*at most the strike, 29"),

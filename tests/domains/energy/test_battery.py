@@ -175,7 +175,10 @@ def with_times(folder, times, **changes):
 @pytest.mark.parametrize(
     ("times", "where"),
     [
-        ([*HOURS[:3], HOURS[2], *HOURS[3:]], r"line 5, column time: .*already, on line 4"),
+        (
+            [*HOURS[:3], HOURS[2], *HOURS[3:]],
+            r"line 5, column time: .*already has a price, on line 4",
+        ),
         ([time + "Z" for time in HOURS], r"line 2, .*hour of local time"),
         ([*HOURS[:3], HOURS[3] + ":00+02:00", *HOURS[4:]], r"line 5, .*hour of local time"),
         ([*HOURS[:2], "2026-05-04T01:15", *HOURS[2:]], r"line 4, .*no such hour from"),

@@ -154,10 +154,10 @@ def test_derivatives_and_a_fixed_price(folder):
         ({"contract.emission": {"market": "co2", "price": 3.0}}, "emission.*one of"),
         ({"contract.emission": {"per_fuel": 1.0}}, "emission.*one of"),
         ({"contract.emission": {"market": "coal"}}, "emission.market"),
-        ({"contract.emission": {"price": 14.0}}, "market.co2.*allowed only where"),
-        ({"market.co2": None}, "market.co2.*is needed where"),
-        ({"model.co2": None}, "model.co2.*is needed where"),
-        ({"model.correlation": [["power", "co2", 0.5]] * 2}, "model.correlation.*one entry for two"),
+        ({"contract.emission": {"price": 14.0}}, "market.co2.*allowed only if"),
+        ({"market.co2": None}, "market.co2.*is needed if"),
+        ({"model.co2": None}, "model.co2.*is needed if"),
+        ({"model.correlation": [["power", "co2", 0.5]] * 2}, "model.correlation.*one entry for each pair"),
         (
             {
                 "model.correlation": [

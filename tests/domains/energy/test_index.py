@@ -207,7 +207,7 @@ def test_a_month_that_has_begun_has_its_index():
         ({"market.valuation_date": datetime.date(2026, 10, 5)}, "strike.fixing: .*specify it"),
         (
             LATE | {"contract.strike": {"index": "month-ahead", "fixing": 30.0}},
-            "strike.fixing: .*fixed on the last day before",
+            "strike.fixing: .*is not fixed yet",
         ),
         (
             {

@@ -1,4 +1,5 @@
-"""Energy contracts: one core values and operates them all. Its import loads little."""
+"""Energy contracts: one core values and operates all of them. Importing this module loads little
+else."""
 
 from snapo.study.kind import Kind
 
@@ -23,7 +24,7 @@ BATTERY = Kind(
 )
 PARK_AND_LOAN = Kind(
     "park-and-loan",
-    "a park and loan at a pipeline or hub: gas delivered and taken back, or taken and returned",
+    "a park and loan service at a hub: gas delivered and taken back, or taken and returned",
     __name__,
     {"winter": "template_park_and_loan"},
     summary="summary:lines",
@@ -41,7 +42,7 @@ PLANT = Kind(
 )
 STORES = Kind(
     "stores",
-    "two gas stores behind one connection: a joint limit of their flows, transfers between them",
+    "two gas stores behind one connection: a joint limit on their flows, transfers between them",
     __name__,
     {"fast-and-slow": "template_stores"},
     summary="summary:lines",

@@ -1,4 +1,4 @@
-"""The report of a contract."""
+"""The report of an energy contract."""
 
 from snapo.report.evidence import history, making
 from snapo.report.folder import RunFiles

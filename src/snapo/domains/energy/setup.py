@@ -1,4 +1,4 @@
-"""Prepares a case to be solved: the problem with its fitted value, its policy and its engines."""
+"""Prepares a case for the solver: the problem with its fitted value, its policy and its engines."""
 
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -39,7 +39,7 @@ def bare_problem(case: EnergyCase) -> Problem:
 
 
 def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
-    """Simulator with its fitted value, scenarios, policy and engines."""
+    """The simulator with its fitted value, the scenarios, the policy and the engines."""
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), case.training.seed
     sources = case.model.sources(seed) or evaluation.sources(seed)
     problem = fitted_problem(replace(bare_problem(case), sources=sources, rebuild=rebuilt))
@@ -55,7 +55,8 @@ def make_setup(case: EnergyCase, engine: EngineName = "auto") -> Setup:
 
 
 def setup_at(setup: Setup, case: EnergyCase) -> Setup:
-    """The setup of a case that differs only in its numbers: `make_setup(case)`."""
+    """The setup of a case that differs from that of `setup` only in its numbers; it equals
+    `make_setup(case)`."""
     bare = bare_problem(case)
     if case.model.sources(setup.training.seed) or bare.form != _bare(setup.problem).form:
         return make_setup(case, setup.engines.name)  # pyright: ignore[reportArgumentType]
@@ -66,8 +67,8 @@ def setup_at(setup: Setup, case: EnergyCase) -> Setup:
 def rebuilt(problem: Problem) -> Problem:
     """The problem with the fitted value and the scales of features of its inputs.
 
-    The nodes of the fitted value are as far apart as before, and are read in the same way, so that
-    values are equally accurate.
+    The nodes of the fitted value have the same distances as before, and the policy reads them in
+    the same way, so that values are equally accurate.
     """
     table = simulator_of(problem).unit_values
     problem = _bare(problem)
@@ -85,8 +86,8 @@ def _bare(problem: Problem) -> Problem:
 
 def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Problem:
     """The problem with the unit values from which its policy starts, and with a control variate if
-    prices have no risks other than the factors of the fit. `before`: the fitted values at other
-    inputs."""
+    prices have no risks other than the factors of the fit. `before`: the unit values at other
+    inputs, if they were fitted before; the new ones are read in the same way."""
     simulator, layout = simulator_of(problem), simulator_of(problem).layout
     apart, like = np.zeros(len(layout.levels)), None
     if before is not None:
@@ -106,7 +107,7 @@ def fitted_problem(problem: Problem, before: UnitValueTable | None = None) -> Pr
 
 
 class FactorFit(NamedTuple):
-    """A fitted value and the factors that it is a function of."""
+    """A fitted value and the price factors on which it depends."""
 
     fitted: FittedContract
     factors: GaussianFactors
@@ -124,8 +125,8 @@ def fitted_value(problem: Problem) -> FactorFit | None:
 def _value_functions(
     problem: Problem, apart: np.ndarray | None = None
 ) -> tuple[GaussianFactors, AnyBasis, ContractGrid] | None:
-    """Factors, functions of them, and nodes of the levels of a fitted value; None if prices have
-    more factors. `apart`: where a coarse grid suffices, see `grid_of`."""
+    """The price factors, the functions of them, and the nodes of the levels of a fitted value; None
+    if prices have too many factors. `apart`: for a coarse grid, see `grid_of`."""
     factors = factors_of(problem)
     if factors is None:
         return None
@@ -136,7 +137,7 @@ def _value_functions(
 
 
 def price_schedule(problem: Problem) -> Schedule:
-    """The schedule of the price process, T + 1 rows of NumPy."""
+    """The schedule of the price process, with T + 1 rows in NumPy."""
     with jax.enable_x64(True):
         inputs = {name: np.asarray(x.value) for name, x in problem.inputs_by_name.items()}
         return jax.tree.map(np.asarray, _prepare(simulator_of(problem).process, inputs))

@@ -36,7 +36,8 @@ from .setup import bare_problem, make_setup, setup_at
 def study(case: EnergyCase, options: Options) -> Study:
     """All parts of a run.
 
-    **Raises:** `CaseError` if the contract cannot be met, or a requested gamma is not available.
+    **Raises:** `CaseError` if the limits of the contract cannot be met, or a requested gamma is not
+    available.
     """
     if options.gamma:
         check_gamma(case)
@@ -94,7 +95,7 @@ class _Prepared:
 
 
 def _about(case: EnergyCase) -> dict[str, Any]:
-    """Known before any work: title, units, dates, notes."""
+    """The description of the case before any work: title, units, dates and notes."""
     layout, money = case.contract.layout, case.currency
     unit = money if case.objective.keeps_unit else ""
     units = {flow.name: flow.unit for flow in layout.flows}
@@ -126,8 +127,9 @@ def _about(case: EnergyCase) -> dict[str, Any]:
 
 
 def _names(layout: ContractLayout) -> dict[str, str]:
-    """{state, decision or output: its name in a report}; empty for what is not shown: factors of
-    the price model, the only mode of a contract, shares of flows, and the control variate."""
+    """{state, decision or output: its name in a report}. The name is empty if it is not shown:
+    factors of the price model, the mode of a contract with only one, shares of flows, and the
+    control variate."""
 
     def numbered(key: str, names: Sequence[str]) -> dict[str, str]:
         keys = [key] if len(names) == 1 else [f"{key}.{i}" for i in range(len(names))]

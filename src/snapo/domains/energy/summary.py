@@ -1,4 +1,4 @@
-"""The text that `snapo check` prints for a contract, by NumPy; nothing is compiled."""
+"""The text that `snapo check` prints for a contract, computed in NumPy; nothing is compiled."""
 
 from typing import Any
 
@@ -17,9 +17,9 @@ from .read.case import EnergyCase
 
 
 def lines(case: EnergyCase) -> list[str]:
-    """The case in a few lines: nothing is trained.
+    """The case in a few lines; nothing is trained.
 
-    **Raises:** `CaseError` if it cannot be met, see `check_limits`.
+    **Raises:** `CaseError` if its limits cannot be met, see `check_limits`.
     """
     layout, schedule = case.contract.layout, known_schedule(case)
     check_limits(case, schedule)
@@ -39,7 +39,7 @@ def known_schedule(case: EnergyCase) -> Schedule:
     """The schedule of a case at its forward prices, in NumPy, without the numbers of the price
     process.
 
-    It equals `EnergySimulator.prepare` of its inputs, up to rounding.
+    It equals the result of `EnergySimulator.prepare` for the inputs of the case, up to rounding.
     """
     market, at = case.market, CaseInput.used
     paid, settled = (discount(market, days) for days in (market.gas_day, case.day + 1))

@@ -1,4 +1,5 @@
-"""Gas storage: values and operates a contract on gas in store. Its import loads little."""
+"""Gas storage: values and operates a contract on gas in store. Importing this module loads little
+else."""
 
 from snapo.study.kind import Kind
 

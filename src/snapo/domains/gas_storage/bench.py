@@ -1,4 +1,5 @@
-"""`snapo bench`: the speed of this machine on the flagship, value only and with gradients."""
+"""`snapo bench`: the speed of this machine for the gas storage template, value only and with
+gradients."""
 
 import time
 from importlib.resources import files
@@ -20,7 +21,8 @@ PATHS, ROUNDS = 1024, 5
 
 
 def bench(engine: str, progress: ProgressCallback) -> str:
-    """A table of medians in milliseconds, from alternating runs; `engine` "auto" times both."""
+    """A table of medians in milliseconds, from alternating runs; with `engine` "auto" both engines
+    are timed."""
     case = read_case(*load(Path(str(files(__package__ or "") / "template"))))
     setup = make_setup(case)
     problem, smooth = setup.problem, Smooth(np.float32(0.01))

@@ -1,4 +1,4 @@
-"""The report of a storage run: its sections, its first screen, and the picture for the README."""
+"""The report of a storage run: its sections, its headline, and the separate picture."""
 
 from pathlib import Path
 
@@ -54,7 +54,7 @@ def headline(run: StorageRun) -> Section:
         label="Value of the contract",
         value=run.money(value, digits),
         error=plus_minus(error, digits),
-        note=f"{PLUS_MINUS}; exact contract on fresh scenarios, present value.",
+        note=f"{PLUS_MINUS}; present value of the exact contract on fresh scenarios.",
         context=optimum(run),
         action=_verb(run, now) if now.action else "",
         sentence=_sentence(run, now) if now.action else "",
@@ -82,7 +82,8 @@ def _verb(run: StorageRun, now: FirstDecision) -> str:
 
 
 def _sentence(run: StorageRun, now: FirstDecision) -> str:
-    """ "25 April 2021: spot is 16.61, above the withdrawal trigger of 16.20 …"."""
+    """ "25 April 2021: the spot price is 16.61 with 1,500 MWh in store. The rule at this inventory
+    is: …"."""
     price = run.price
     spot, low, high = (finite(x) for x in (now.spot, now.inject_below, now.withdraw_above))
     digits = _price_places([spot, low, high])
@@ -99,7 +100,7 @@ def _sentence(run: StorageRun, now: FirstDecision) -> str:
 
 
 def _price_places(prices) -> int:
-    """Cents for prices of everyday size, more for small ones."""
+    """Two decimals for prices of usual size, more for small prices."""
     return max(2, min(decimals(prices, 4), 6))
 
 
@@ -128,7 +129,7 @@ HEADING = {"loc": "left", "pad": 26, "color": LIGHT["ink"], "fontweight": "bold"
 
 
 def today(run: StorageRun) -> Section:
-    """The decision of today, from the chapter of the store over time."""
+    """The decision of today, from the chapter on the store over time."""
     position = POSITION.of(run)
     return ladder(run, None if position is None else position.today)
 
@@ -166,7 +167,7 @@ REPORT = Report("Gas storage", StorageRun, _about, SECTIONS, MENU)
 
 
 def readme_picture(folder: Path, exact: float | None = None) -> str:
-    """A separate picture of a result as SVG text: value ladder and monthly deltas.
+    """A separate picture of a result, as SVG text: the value ladder and the monthly deltas.
 
     `exact`: the contract's value by dynamic programming from another run, for a run without
     `--reference`. Raises `ValueError` if the run lacks the value ladder or the deltas.

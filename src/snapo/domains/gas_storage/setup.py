@@ -1,4 +1,5 @@
-"""Prepares a case to be solved: the problem with value table and hedge, policy and engines."""
+"""Prepares a case for the solver: the problem with its value table and its hedge, the policy and
+the engines."""
 
 from dataclasses import replace
 
@@ -43,7 +44,8 @@ def bare_problem(case: StorageCase) -> Problem:
 def make_setup(
     case: StorageCase, engine: EngineName = "auto", fit: FittedValue | None = None
 ) -> Setup:
-    """Simulator with its value table and its hedge, scenarios, policy and engines."""
+    """The simulator with its value table and its hedge, the scenarios, the policy and the
+    engines."""
     evaluation, seed = Evaluation(**case.evaluation.model_dump()), case.training.seed
     problem = bare_problem(case)
     sources = case.model.sources(seed) or evaluation.sources(seed)
@@ -71,7 +73,7 @@ def setup_at(setup: Setup, case: StorageCase) -> Setup:
 def rebuilt(problem: Problem) -> Problem:
     """The problem with the value table and the scales of features of its inputs.
 
-    The hedge, a control variate that no value depends on, is set to zero.
+    The hedge, a control variate on which no value depends, is set to zero.
     """
     problem = _bare(problem)
     values = {name: inputs.value for name, inputs in problem.inputs_by_name.items()}
@@ -96,7 +98,7 @@ def _with_value_table(problem: Problem, fit: FittedValue | None) -> Problem:
 
 
 def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | None:
-    """The innovations of the fitted value, if prices have no other risks than its factors'."""
+    """The innovations of the fitted value, if prices have no risks other than its factors."""
     result = factors(problem)
     if fit is None or result is None or not result.exact or len(fit.basis.selected) > MAX_FACTORS:
         return None
@@ -104,7 +106,7 @@ def _innovations(problem: Problem, fit: FittedValue | None) -> Innovations | Non
 
 
 def _hedged(setup: Setup) -> Setup:
-    """The setup with a hedge as its control variate, if it has no better one."""
+    """The setup with a hedge as its control variate, if it has no better control variate."""
     problem, simulator = setup.problem, simulator_of(setup.problem)
     if simulator.innovations is not None or not simulator.process.martingale:
         return setup
@@ -113,13 +115,14 @@ def _hedged(setup: Setup) -> Setup:
 
 
 def fitted_value(problem: Problem) -> FittedValue | None:
-    """The fitted value for the value table and the control variate, if factors are Gaussian."""
+    """The fitted value for the value table and the control variate, if the factors are Gaussian."""
     result, kind = factors(problem), simulator_of(problem).interpolation
     return None if result is None else fit_value_table(problem.schedule, result, kind)
 
 
 def value_table(problem: Problem, fit: FittedValue | None) -> ValueTable:
-    """Marginal values: of the fitted value where several factors matter, else of the fast one."""
+    """The marginal values: from the fitted value if several factors matter, otherwise from a
+    dynamic program in the fast factor."""
     result, schedule = factors(problem), problem.schedule
     if fit is not None and 1 < coordinates(fit.basis.of, fit.basis.selected) <= MAX_FACTORS:
         return ValueTable(FittedKnots(*fitted_marginal(schedule, fit)))  # pyright: ignore
@@ -145,7 +148,7 @@ def factors(problem: Problem) -> GaussianFactors | None:
 
 
 def on_independent_paths(setup: Setup) -> Problem:
-    """The same problem on other scenarios than those of the value, if there are any."""
+    """The same problem on scenarios other than those of the value, if there are any."""
     seed = setup.training.seed
     if case_of(setup).model.sources(seed):
         return setup.problem
@@ -158,7 +161,7 @@ def _measured_on(problem: Problem, source: Pseudo) -> Problem:
 
 
 def _hedge(setup: Setup) -> np.ndarray:
-    """Forward volumes [T] for the control variate: the deltas of the value table's rule."""
+    """The forward volumes [T] of the control variate: the deltas of the rule of the value table."""
     problem, policy, engine = setup.problem, setup.policy, setup.engines.evaluate
     assert isinstance(policy, StoragePolicy)
     plain = replace(problem, objective=Mean(OUTPUT))

@@ -33,7 +33,7 @@ KIND = "gas-storage"
 
 
 def study(case: StorageCase, options: Options) -> Study:
-    """All parts of a run; of a contract without a decision left, only its value."""
+    """All parts of a run; for a contract without a decision left, only its value."""
     if not case.days:
         return Study(KIND, _about(case), (Part("value", _expired(case)),), _expired_result)
     ready, bare = _Prepared(case, options.engine), bare_problem(case)
@@ -69,7 +69,7 @@ def study(case: StorageCase, options: Options) -> Study:
 
 
 def _relaxation(prepared: "_Prepared"):
-    """The store of known prices; or the reason why a run has no bound from above."""
+    """The inner problem of the upper bound; or the reason why the run has no upper bound."""
     kind = prepared.case.objective.kind
     if kind != "mean":
         return f'only a mean has an upper bound, but the objective is "{kind}"'
@@ -77,7 +77,7 @@ def _relaxation(prepared: "_Prepared"):
 
 
 class _Prepared:
-    """The case made ready once, when the first part asks for it."""
+    """The prepared case; it is prepared once, when the first part needs it."""
 
     def __init__(self, case: StorageCase, engine: str):
         self.case, self.engine = case, engine
@@ -92,12 +92,13 @@ class _Prepared:
 
     @cached_property
     def fitted_value(self) -> FittedValue | None:
-        """The value function of value table and control variate."""
+        """The value function for the value table and the control variate."""
         return fitted_value(bare_problem(self.case))
 
 
 def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
-    """Known before any work: title, units, dates, notes, curve, and the metadata of the inputs."""
+    """The description of the case before any work: title, units, dates, notes, curve, and the
+    metadata of the inputs."""
     notes = ["No decision day is left."] if problem is None else []
     about = {
         "title": case.title,
@@ -113,8 +114,8 @@ def _about(case: StorageCase, problem: Problem | None = None) -> dict[str, Any]:
         "units": dict.fromkeys(("inventory", "injection", "withdrawal"), case.volume_unit)
         | dict.fromkeys(("cash_flow", "costs"), case.currency),
         "names": {
-            "action.0": "injection, share of the possible flow",
-            "action.1": "withdrawal, share of the possible flow",
+            "action.0": "injection, as a share of the possible flow",
+            "action.1": "withdrawal, as a share of the possible flow",
             "value_surprise": "innovation of the value",
         },
         "notes": [*notes, *case.notes],

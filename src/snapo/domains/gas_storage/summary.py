@@ -1,4 +1,4 @@
-"""The text that `snapo check` prints for a storage case, by NumPy; nothing is compiled."""
+"""The text that `snapo check` prints for a storage case, computed in NumPy; nothing is compiled."""
 
 from snapo.study.kind import inputs_line
 
@@ -8,7 +8,7 @@ from .references.intrinsic import intrinsic
 
 
 def lines(case: StorageCase) -> list[str]:
-    """The case in a few lines: nothing is trained."""
+    """The case in a few lines; nothing is trained."""
     if not case.days:
         value = value_without_decisions(case)
         return [f"{case.title}: no decision day is left; the value is {value:,.2f}"]

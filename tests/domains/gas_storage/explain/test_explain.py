@@ -216,7 +216,11 @@ def run_of(name: str, **tables) -> ValuedRun:
 @pytest.mark.parametrize(
     ("first", "second", "words"),
     [
-        ({"market": {"valuation_date": datetime.date(2025, 1, 4)}}, {}, "name the runs in their"),
+        (
+            {"market": {"valuation_date": datetime.date(2025, 1, 4)}},
+            {},
+            "name the earlier run first",
+        ),
         ({}, {"contract": {"end": datetime.date(2025, 1, 29)}}, "do not end with those"),
     ],
 )
@@ -227,7 +231,9 @@ def test_a_run_that_cannot_follow(first, second, words):
 
 def test_a_run_of_another_kind(tmp_path, monkeypatch):
     monkeypatch.setattr(runs.run_folder, "read", lambda folder: {"kind": "pension"})
-    with pytest.raises(CaseError, match='of kind "battery", "gas-storage", "park-and-loan", "pl'):
+    with pytest.raises(
+        CaseError, match='explained: "battery", "gas-storage", "park-and-loan", "pl'
+    ):
         ValuedRun.read(tmp_path)
 
 

@@ -119,7 +119,7 @@ def test_a_table_of_hedges():
     [
         ({"delta": []}, "hedge.delta", "nearest known key is deltas"),
         ({"deltas": [["month"]]}, "hedge.deltas", '"months"'),
-        ({"deltas": [["quarters"]]}, "hedge.deltas", "keys of [products] that are traded"),
+        ({"deltas": [["quarters"]]}, "hedge.deltas", "the traded keys of [products]"),
         ({"deltas": [[]]}, "hedge.deltas", "at least one product"),
         ({"deltas": ["months"]}, "hedge.deltas", "list"),
         ({"paths": 10}, "hedge.paths", "256"),

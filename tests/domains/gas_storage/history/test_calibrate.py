@@ -75,10 +75,10 @@ def test_a_mistake_is_one_message(tmp_path, history, model, spot, named, capsys)
     ("row", "named"),
     [
         ("2024-01-01,2024-13,20\n", ["line 3", "product", "2024-13"]),
-        ("2024-01-01,2023-12,20\n", ["line 3", "product", "its first day is 2023-12-01"]),
+        ("2024-01-01,2023-12,20\n", ["line 3", "product", "its delivery begins on 2023-12-01"]),
         ("2024-01-01,2025,20\n", ["line 3", "product", "at most 92 days"]),
         ("2024-01-01,2024-02,21\n", ["line 3", "product", "already"]),
-        ("2024-01-01,someday,20\n", ["line 3", "product", "a month, 2026-01"]),
+        ("2024-01-01,someday,20\n", ["line 3", "product", "a month (2026-01)"]),
     ],
 )
 def test_quotes_are_of_products_not_begun(tmp_path, row, named):

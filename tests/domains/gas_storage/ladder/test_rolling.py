@@ -195,7 +195,7 @@ def test_a_contract_that_flat_volumes_cannot_meet_has_a_reason():
     plain = schedule()
     plain.steps.next_high[1], plain.steps.next_low[3] = 0.0, 2.0
     chains = Chains(FlatStore(plain, "linear"))
-    with pytest.raises(Infeasible, match="no equal volumes"):
+    with pytest.raises(Infeasible, match="no volumes that are equal"):
         chains.of((TradeBlock(0, 4), TradeBlock(4, 8)))
 
 

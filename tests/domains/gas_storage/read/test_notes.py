@@ -21,12 +21,12 @@ NOTES = {
     "an outage after the end": (
         MARKET,
         f'outages = ["2025-01-31/2025-02-03"]\n{MARKET}',
-        ["2025-01-31 to 2025-02-03 lies outside of the contract, 2025-01-01 to 2025-01-31"],
+        ["2025-01-31 to 2025-02-03 is outside of the contract, 2025-01-01 to 2025-01-31"],
     ),
     "two quotes": (
         "2025-01-01,27.03",
         "2025-01,20\n2025-01-01,27.03",
-        ["curve.csv 2025-01-01 and 29 more days have a quote", "that of the day is used"],
+        ["curve.csv 2025-01-01 and 29 more days have a quote", "the quote for the day is used"],
     ),
     "paid late": (
         MARKET,
@@ -41,7 +41,7 @@ NOTES = {
     "a round trip that pays": (
         COST,
         "injection_cost = -0.2",
-        ["earns money at any prices", "sum to -0.15"],
+        ["earns money at any prices", "withdrawal_cost is -0.15"],
     ),
 }
 

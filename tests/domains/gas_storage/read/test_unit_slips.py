@@ -131,7 +131,7 @@ def test_fixed_costs_before_the_valuation_date_are_noted(tmp_path):
     case = read_case(*load(folder))
     assert case.notes == (
         "fixed.csv, line 2: the amount of 2024-12-01 is due before the valuation date, 2025-01-01, "
-        "as is 1 more: it is ignored.",
+        "as is 1 more: such amounts are ignored.",
     )
     assert case.contract.fixed_costs.used().tolist() == [5.0]
 

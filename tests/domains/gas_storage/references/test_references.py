@@ -297,7 +297,7 @@ def test_more_than_two_factors_must_be_chosen():
     factors = [Factor(k, lambda day: 0.3) for k in (1.0, 5.0, 30.0)]
     schedule = small(factors, days=5)
     assert relevant_factors(schedule, schedule.factors) == (2, 1, 0)
-    with pytest.raises(ValueError, match="name the two to keep"):
+    with pytest.raises(ValueError, match="name one or two factors in"):
         lattice(schedule, schedule.factors, "linear")
     assert lattice(schedule, schedule.factors, "linear", keep=(2, 1)).dropped == (0,)
 

@@ -1,7 +1,7 @@
-"""Methods side by side, for contracts with one level and one flow, or two opposite flows.
+"""Compares the methods for contracts with one level and either one flow or two opposite flows.
 
-With flat volumes over products such a contract is a `gas_storage.ladder.rolling.FlatContract`,
-which rolling intrinsic and least-squares Monte Carlo read.
+For rolling intrinsic and least-squares Monte Carlo such a contract, with flat volumes over
+products, takes the form of a `gas_storage.ladder.rolling.FlatContract`.
 """
 
 from dataclasses import replace
@@ -35,20 +35,20 @@ from .reference import measure as measure_reference
 
 
 def no_flat_volumes(layout: ContractLayout) -> str:
-    """The reason why a contract has no flat volumes over products; "" if it has."""
+    """The reason why a contract cannot have flat volumes over products; "" if it can."""
     if layout.indexed:
         return "this method is for contracts whose price does not follow an index"
     opposite = len(layout.flows) == 2 and len(layout.levels) == 1 and not layout.effects.sum()
     if layout.moves or not (len(layout.flows) == 1 or opposite) or len(layout.levels) > 1:
         return (
-            "this method is for contracts with at most one level, one flow or two opposite ones, "
-            "and no choice of moves"
+            "this method is for contracts with at most one level, with one flow or two opposite "
+            "flows, and without a choice of moves"
         )
     return ""
 
 
 class FlatVolumes:
-    """See `FlatContract`; for a schedule with NumPy leaves.
+    """A `FlatContract` made from a schedule with NumPy leaves.
 
     A volume above zero belongs to the flow that raises the level, or to the only flow; a volume
     below zero to the other flow.
@@ -81,7 +81,7 @@ class FlatVolumes:
         self._limit_levels(self._least * self._effect, self._most * self._effect)
 
     def _volumes(self) -> tuple[np.ndarray, np.ndarray]:
-        """[T] the smallest and the largest volume of each step, with its sign."""
+        """[T] the smallest and the largest volume of each step, with their signs."""
         forced, free = np.asarray(self.terms.least), np.asarray(self.terms.most)
         if self._down is None:
             return forced[:, self._up], free[:, self._up]
@@ -90,7 +90,7 @@ class FlatVolumes:
         return lowest, np.where(down > 0, -down, free[:, self._up])
 
     def _limit_levels(self, least: np.ndarray, most: np.ndarray) -> None:
-        """Narrows the levels after each step to those that are reached."""
+        """Narrows the levels after each step to those that can be reached."""
         bottom = top = self.start
         for t in range(self.horizon):
             bottom, top = bottom + min(least[t], most[t]), top + max(least[t], most[t])
@@ -139,10 +139,12 @@ class FlatVolumes:
         return self._cost(first, after, levels, at_end=True)
 
     def _cost(self, first: int, after: int, levels: np.ndarray, at_end: bool) -> np.ndarray:
-        """Money of the levels within a period, as that of those at its start and at its end.
+        """The money of the levels within a period, as a function of the levels at its start or at
+        its end.
 
-        The size of a level on a day is taken as a mean of both: exact, unless the level passes zero
-        in the period, where it is smaller.
+        The size of the level on a day is taken as a weighted mean of its sizes at the start and the
+        end. This is exact unless the level passes zero in the period: its size is then smaller than
+        the mean.
         """
         if self.terms.of_levels is None:
             return np.zeros_like(levels)
@@ -166,7 +168,7 @@ class FlatVolumes:
 
 
 class EnergyMethods(ContractMethods):
-    """The methods of any contract of energy."""
+    """The methods of any energy contract."""
 
     @cached_property
     def relaxation(self) -> EnergyRelaxation:
@@ -178,7 +180,7 @@ class EnergyMethods(ContractMethods):
 
     @property
     def intraday(self) -> bool:
-        """Whether differences from a schedule are traded."""
+        """Whether the contract trades differences from a schedule."""
         return isinstance(self.run.setup.problem.simulator, IntradaySimulator)
 
     @cached_property
@@ -201,7 +203,7 @@ class EnergyMethods(ContractMethods):
     @property
     def traded(self) -> DeskMethods:
         if KINDS[case_of(self.run.setup).kind].hourly:
-            raise ValueError("products are of a day or longer, and the steps are hours")
+            raise ValueError("products last a day or longer, but the steps are hours")
         return self.desk
 
     def by_day(self) -> Estimated:
@@ -209,7 +211,8 @@ class EnergyMethods(ContractMethods):
 
     @property
     def of_value(self) -> bool:
-        """Whether the row of least squares is the fitted value: with several levels or modes."""
+        """Whether the row of least squares shows the fitted value, as for several levels or
+        modes."""
         return bool(no_flat_volumes(self.layout)) or self.intraday
 
     @property
@@ -222,7 +225,8 @@ class EnergyMethods(ContractMethods):
         return f"{rule}: the policy of this run is the same" if same else rule
 
     def least_squares(self) -> np.ndarray:
-        """For a contract with several levels or modes, the earnings of the fitted value."""
+        """Earnings on each path; for a contract with several levels or modes, those of the fitted
+        value."""
         if self.of_value:
             return self._fitted_rule()
         money, levels = self.desk.least_squares()
@@ -258,7 +262,7 @@ class EnergyMethods(ContractMethods):
 
 
 def measure(run: StudyRun) -> MethodLadder:
-    """Every method of a contract."""
+    """Applies every method to a contract."""
     return EnergyMethods(run, ladder.common_paths(run)).measured()
 
 

@@ -22,7 +22,8 @@ class Intrinsic:
 
 @dataclass(frozen=True)
 class ExactValue:
-    """The exact value, and its remaining change on finer grids; None without an exact value."""
+    """The exact value, and the remaining change of this value on finer grids; both are None without
+    an exact value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None
@@ -35,8 +36,8 @@ def measure_intrinsic(run: StudyRun) -> Intrinsic:
 
 
 def measure(run: StudyRun) -> ExactValue:
-    """The lattice in one or two price factors, if the process has no others and no schedule is part
-    of the state; None for three prices."""
+    """The value on a lattice in one or two price factors, if the process has no others and no
+    schedule is part of the state. The values are None otherwise."""
     problem = run.setup.problem
     factors = factors_of(problem)
     if factors is None or not factors.exact or isinstance(problem.simulator, IntradaySimulator):
@@ -47,8 +48,8 @@ def measure(run: StudyRun) -> ExactValue:
 
 
 def around(problem: Problem) -> tuple[float, float] | None:
-    """The exact values that are below and above the value of a contract with schedules and trades:
-    that with schedules which are always kept, and that without auctions. None for other
+    """Two exact values, one below and one above the value of a contract with schedules and trades:
+    the value if schedules are always kept, and the value without auctions. None for other
     contracts."""
     if not isinstance(problem.simulator, IntradaySimulator):
         return None

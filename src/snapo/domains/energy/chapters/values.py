@@ -21,7 +21,7 @@ PATHS = 16384
 
 @dataclass(frozen=True)
 class MethodValue:
-    """The value by one method, its error if it has one, and the meaning."""
+    """The value by one method, its error if it has one, and its meaning."""
 
     name: str
     value: Number
@@ -37,7 +37,8 @@ class MethodValues:
 
 
 def measure(run: StudyRun) -> MethodValues:
-    """Intrinsic, the fitted rule, the trained policy, the lattice, the bound."""
+    """The values: intrinsic, of the fitted rule, of the trained policy, by the lattice, and the
+    bound."""
     solution, setup, rows = run.solution, run.setup, []
     if (plan := INTRINSIC.of(run)) is not None:
         note = "all decisions fixed today, at forward prices"
@@ -71,7 +72,7 @@ def measure(run: StudyRun) -> MethodValues:
 
 
 def show(run: RunFiles, result: MethodValues) -> Sequence[Block]:
-    """A table from the lowest to the highest value."""
+    """A table of the values, from the lowest to the highest."""
     columns = [
         Column("Method", lambda row: row.name),
         Column("Meaning", lambda row: row.note),

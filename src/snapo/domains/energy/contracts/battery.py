@@ -2,9 +2,9 @@
 
     earnings = sum over hours of discount x (d (efficiency out S - wear) - c S / efficiency in)
 
-c is stored and d taken from the store in an hour, both in energy in the store: c at most power in x
-efficiency in, d at most power out. A cycle is `energy` taken; the cycles of each calendar day, and
-of the whole term, may be limited.
+c is the energy stored in an hour, and d the energy taken from the store, both measured in the
+store: c is at most power in x efficiency in, and d at most power out. A cycle is `energy` taken;
+the cycles of each calendar day, and of the whole term, may be limited.
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,14 +48,16 @@ CYCLES = Quantity("1", POSITIVE, GROUP, move=0.1)
 
 
 class ChargeTable(CaseTable):
-    """{ power = 1.0, efficiency = 0.9 }: MW bought; the share of it that is stored."""
+    """{ power = 1.0, efficiency = 0.9 }: the power bought, in MW, and the share of it that is
+    stored."""
 
     power: CaseInput = POWER("power bought while the battery charges", name="charge_power")
     efficiency: CaseInput = EFFICIENCY("efficiency of charging", 1.0, name="charge_efficiency")
 
 
 class DischargeTable(CaseTable):
-    """{ power = 1.0, efficiency = 0.95 }: MW taken from the store; the share of it that is sold."""
+    """{ power = 1.0, efficiency = 0.95 }: the power taken from the store, in MW, and the share of
+    it that is sold."""
 
     power: CaseInput = POWER("power taken from the store", name="discharge_power")
     efficiency: CaseInput = EFFICIENCY(
@@ -64,7 +66,8 @@ class DischargeTable(CaseTable):
 
 
 class CyclesTable(CaseTable):
-    """{ day = 1.5, term = 60.0 }: limits of each calendar day, and of the whole term."""
+    """{ day = 1.5, term = 60.0 }: limits on the cycles of each calendar day and of the whole
+    term."""
 
     day: CaseInput | None = CYCLES(
         "largest number of cycles on a calendar day", None, name="cycles_day"
@@ -75,11 +78,11 @@ class CyclesTable(CaseTable):
 
 
 class IntradayTable(CaseTable):
-    """{ half_spread = 2.0 }: differences from the schedule are traded at the spot price of the
-    hour, plus the half spread if they are bought, and minus the half spread if they are sold."""
+    """{ half_spread = 2.0 }: differences from the schedule are bought at the spot price of the hour
+    plus the half spread, and sold at the spot price minus the half spread."""
 
     half_spread: CaseInput = Quantity("{currency}/MWh", NOT_NEGATIVE, "cost", move=0.1)(
-        "price of each MWh that differs from the schedule"
+        "half of the spread, paid for each MWh that differs from the schedule"
     )
 
 
@@ -87,7 +90,9 @@ class BatteryTable(HourlyContractTable):
     """`[contract]` of kind "battery"."""
 
     energy: CaseInput = ENERGY("largest energy in store")
-    stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)("energy at the start", 0.0)
+    stored: CaseInput = Quantity("MWh", NOT_NEGATIVE, GROUP, move=0.1)(
+        "energy in store at the start", 0.0
+    )
     charge: dict = doc(
         "power bought, in MW, and the share of it that is stored",
         allowed="a table like { power = 1.0, efficiency = 0.9 }",
@@ -104,7 +109,7 @@ class BatteryTable(HourlyContractTable):
     )
     auction: dict | None = doc("auctions that fix the flows of a block of hours", None, AUCTION)
     intraday: dict | None = doc(
-        "trade of differences from the schedule of an auction",
+        "terms of trading differences from the schedule of an auction",
         None,
         "a table like { half_spread = 2.0 }",
     )
@@ -120,7 +125,8 @@ class BatteryTable(HourlyContractTable):
 
 
 class BatteryContract(EnergyContract):
-    """The terms of a battery; see `BatteryTable`. `day_ends` [T]: the last hour of a local day."""
+    """The terms of a battery; see `BatteryTable`. `day_ends` [T]: whether an hour is the last one
+    of a local day."""
 
     energy: CaseInput
     stored: CaseInput
@@ -188,8 +194,9 @@ class BatteryContract(EnergyContract):
         return Terms(start, steps)
 
     def _cycles(self, at: NumbersOf, highest: Array) -> tuple[Array | None, Array | None]:
-        """Limits of a day and of the term. Of two, that which the other one implies is at least
-        `highest`, the cycles of all hours: no plan reaches it, and methods need no nodes for it."""
+        """Limits of a day and of the term. If one of the two implies the other one, the implied
+        limit is raised to at least `highest`, the cycles of all hours. No plan reaches that number,
+        and methods need no nodes for it."""
         day, term = (x and at(x) for x in (self.cycles_day, self.cycles_term))
         if day is None or term is None:
             return day, term
@@ -216,7 +223,8 @@ class BatteryContract(EnergyContract):
 
 
 def layout_of(day: bool, term: bool) -> ContractLayout:
-    """Energy in store, and the energy taken today and in the whole term."""
+    """The levels (energy in store, and the energy taken today and in the whole term) and the
+    flows."""
     levels = [Level("energy", "MWh")]
     levels += [Level("taken today", "MWh")] * day + [Level("taken", "MWh")] * term
     counted = len(levels) - 1
@@ -232,9 +240,9 @@ def bumps(
     powers: tuple[ChargeTable, DischargeTable],
     cycles: CyclesTable,
 ) -> tuple[float | None, float | None]:
-    """The smallest moves of energy and cycles, at least 1 %, after which all volumes are still
-    multiples of their common measure with `others`, because nodes are such multiples; half of a
-    move has this property too. None if the moves exceed `WIDEST`."""
+    """The smallest moves of energy and of cycles, of at least 1 %, that a finite difference can
+    make. After such a move, or half of it, all volumes and `others` are still multiples of their
+    common measure, as the nodes are. None for a move that would exceed `WIDEST`."""
     into, out = ([float(x.values[0]) for x in (y.power, y.efficiency)] for y in powers)
     limits = [float(x.values[0]) for x in (cycles.day, cycles.term) if x is not None]
     measure = common_measure(
@@ -251,7 +259,7 @@ def bumps(
 
 
 def read_battery(where: TableContext, table: BatteryTable, hours: Hours) -> BatteryContract:
-    """The contract in these hours, with the auctions at which flows are fixed."""
+    """Reads the contract in these hours, with the auctions at which flows are fixed."""
     charge = where.nested(ChargeTable, table.charge, "charge")
     discharge = where.nested(DischargeTable, table.discharge, "discharge")
     cycles = where.nested(CyclesTable, table.cycles or {}, "cycles")

@@ -1,9 +1,10 @@
-"""Fade: the energy that a store can hold falls as energy is taken from it.
+"""Fade: the capacity of a store falls as energy is taken from it.
 
     E_after <= max(E_before, energy - by x n),    n = max(ceil(taken / every) - 1, 0)
 
-`taken` is counted over the whole life of the store. n rises when more than a multiple of `every` is
-taken. The limit applies only to charging: energy above it may stay in store, and can be taken.
+`taken` is counted over the whole life of the store. n rises when the energy taken exceeds a
+multiple of `every`. The limit applies only to charging: energy above the limit may stay in store,
+and can be taken.
 """
 
 from typing import Annotated
@@ -23,10 +24,10 @@ class FadeTable(CaseTable):
     """{ every = 30.0, by = 0.5 }: after every 30 MWh taken the store can hold 0.5 MWh less."""
 
     every: Annotated[float, Range(0.0, endpoints="()", note=": MWh taken")] = doc(
-        "energy taken after which the store can hold less, in MWh"
+        "energy that is taken before the store can hold less, in MWh"
     )
     by: CaseInput = Quantity("MWh", NOT_NEGATIVE, "contract", move=0.1, name=FADE)(
-        "usable energy that is lost each time the energy `every` has been taken"
+        "usable energy lost each time a further `every` MWh have been taken"
     )
     taken: Annotated[float, Range(0.0, note=": MWh taken before the start")] = doc(
         "energy taken since the store was new, in MWh", 0.0
@@ -41,8 +42,8 @@ class StoreFade(TreeRecord):
     taken: Float[np.ndarray, ""]
 
     def reach(self, count: int, stored: Array, charge: Array, discharge: Array) -> Array:
-        """An upper limit on the energy taken in `count` steps, each of which stores at most
-        `charge` or takes at most `discharge`. It is computed for a whole number of steps, so that
+        """An upper limit on the energy taken in `count` steps, in each of which at most `charge` is
+        stored or at most `discharge` is taken. It is computed for a whole number of steps, so that
         it is a multiple of the common divisor of the volumes."""
         steps = (stored / charge + count) * charge / (charge + discharge)
         return discharge * xp.minimum(xp.ceil(steps), count)

@@ -5,8 +5,9 @@
     fees     = initial x opened + completion x closed + park fee x B+ + loan fee x B-
 
 d is delivered to the operator and w taken from it on a day, with B+ = max(B, 0), parked, and
-B- = max(-B, 0), on loan, both after the day. Volumes that move the balance away from zero open,
-those that move it towards zero close: a delivery first repays a loan, and the rest is parked:
+B- = max(-B, 0), on loan, both after the day. Volumes that move the balance away from zero are
+opened, and those that move it towards zero are closed. A delivery first repays a loan, and the rest
+of it is parked:
 
     initial x opened + completion x closed = (initial + completion) / 2 x (d + w)
                                              + (initial - completion) / 2 x change of |B|
@@ -15,8 +16,8 @@ At the end the balance is zero, or the units left are cashed out. Sources of the
 Pipeline Company of America, FERC Gas Tariff, Seventh Revised Volume No. 1, Rate Schedule LPS,
 section 6.1: an initial fee for each unit tendered for park or taken for loan, a balance fee on the
 balance at the end of each day, a completion fee for each unit that is returned. Colorado Interstate
-Gas Company, FERC Gas Tariff, First Revised Volume No. 1, sheet 159B, section 2.3(c): a quantity is
-balanced against the existing balance.
+Gas Company, FERC Gas Tariff, First Revised Volume No. 1, sheet 159B, section 2.3(c): a new quantity
+is first set off against the existing balance.
 """
 
 import datetime
@@ -66,8 +67,8 @@ class ParkAndLoanTable(CaseTable):
     end: DateKey = doc("first day without a decision")
     max_park: CaseInput = LIMIT("largest volume parked at the end of a day", 0.0)
     max_loan: CaseInput = LIMIT("largest volume on loan at the end of a day", 0.0)
-    max_deliver: CaseInput = RATE("largest volume delivered a day, to park or to repay")
-    max_take: CaseInput = RATE("largest volume taken a day, as a loan or from the park")
+    max_deliver: CaseInput = RATE("largest volume delivered per day, to park or to repay")
+    max_take: CaseInput = RATE("largest volume taken per day, as a loan or from the park")
     deliver_window: dict | None = doc(
         "days on which gas may be delivered",
         None,
@@ -95,9 +96,9 @@ class ParkAndLoanContract(EnergyContract):
 
     - `limits`: largest park and largest loan; `rates`: largest delivery and withdrawal; `fees`: the
       fees of a unit parked and of one on loan, by day; each index [T].
-    - `turn`: initial and completion fee; `cash_out`: the prices of a unit parked and on loan at
-      the end, None if no such balance may be left; index [].
-    - `open` [T, 2]: whether gas may be delivered, and taken, on a day.
+    - `turn`: initial and completion fee; `cash_out`: the prices, at the end, of a unit parked and
+      of a unit on loan, None if no such balance may be left; index [].
+    - `open` [T, 2]: whether gas may be delivered on a day, and whether it may be taken.
     """
 
     limits: tuple[CaseInput, CaseInput]
@@ -199,7 +200,7 @@ def read_park_and_loan(
 
 
 def _within(where: TableContext, key: str, raw: dict | None, days: Sequence[datetime.date]):
-    """[T] whether a day is in the window of a key; all are without one."""
+    """[T] whether a day is in the window of a key; all days are if the case has no such key."""
     if raw is None:
         return np.ones(len(days), bool)
     window = where.nested(WindowTable, raw, key)

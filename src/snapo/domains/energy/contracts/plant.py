@@ -3,11 +3,12 @@
     earnings = sum over hours on of discount x (q S - (idle + rate q) (G + e c) - o q)
                - sum over starts of discount x (money + fuel (G + e c))
 
-S is the price of power, G that of the fuel, c that of a certificate of emissions, which may also be
-random, and e is the number of certificates for a unit of fuel (`gas_storage/prices/trio.py`); q is
-the power of an hour on, between two limits. A start belongs to the last class whose hours off have
-passed. Modes are the hours off so far, up to those of the last class, and the hours on so far, up
-to `min_up`; with a ramp the latter are combined with the power of the hour, see `ramp.py`.
+S is the price of power, G the price of the fuel, and q the power in an hour on, between two limits.
+c is the price of an emission certificate, which may also be random, and e is the number of
+certificates for a unit of fuel (`gas_storage/prices/trio.py`). A start belongs to the last class
+whose hours off have passed. Modes are the hours off so far, up to those of the last class, and the
+hours on so far, up to `min_up`; with a ramp the latter are combined with the power of the hour, see
+`ramp.py`.
 """
 
 from collections.abc import Mapping
@@ -38,14 +39,15 @@ POWER = 0  # the flow
 class PlantContract(EnergyContract):
     """The terms of a plant.
 
-    - `min_power`, `max_power`: MW while the plant is on. `idle`, `rate`: fuel for an hour on, and
-      for a MWh of power.
-    - `per_fuel`, `emission_price` [T], `other_cost` [T]: emissions of a unit of fuel, their price
-      (None if the price moves and is part of the index), and other costs of each MWh.
+    - `min_power`, `max_power`: MW while the plant is on. `idle`, `rate`: fuel for an hour in which
+      the plant is on, and for a MWh of power.
+    - `per_fuel`, `emission_price` [T], `other_cost` [T]: certificates for a unit of fuel, their
+      price (None if the price is random and part of the index), and other costs of each MWh of
+      power.
     - `start_money`, `start_fuel` [classes]: cost and fuel of a start; None if starts are free.
     - `classes` [moves]: the class of each move that is a start, else -1; `runs` [moves]: whether it
       is on.
-    - `start_limit`: how many starts there may be; 0 without a limit.
+    - `start_limit`: the largest number of starts; 0 without a limit.
     - `ramp`, `power_before`: the largest change in MW per hour, and MW in the hour before the first
       one; None without a ramp. `steps`: the possible powers with a ramp; `powers` [moves]: the
       power of each move.
@@ -101,8 +103,8 @@ class PlantContract(EnergyContract):
         return Terms(xp.zeros(counted), self._ramped(at, steps))
 
     def _ramped(self, at: NumbersOf, terms: StepTerms) -> StepTerms:
-        """With the power of each move, if there is a ramp. No number is known where other inputs
-        would have other steps: all are NaN then."""
+        """Adds the power of each move, if there is a ramp. The terms are NaN for inputs that would
+        need other power steps than the contract has."""
         if self.ramp is None or self.steps is None:
             return terms
         limits = self.min_power, self.max_power, self.ramp, self.power_before
@@ -203,7 +205,8 @@ def layout_of(
 
 
 def _reachable(min_up: int, powers: PowerSteps, begins: tuple) -> list[tuple[bool, int, int]]:
-    """The modes on: those after a start or after the first hours, by hours and power."""
+    """The modes in which the plant runs and that it can reach from a start or from its first
+    mode."""
     reached = {(1, p) for p, possible in enumerate(powers.at_ends) if possible}
     if begins[0]:
         reached.add(begins[1:])

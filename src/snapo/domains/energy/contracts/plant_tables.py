@@ -1,4 +1,4 @@
-"""The table `[contract]` of a power plant, and its reading; see `plant.py`."""
+"""The table `[contract]` of a power plant, and its reader; see `plant.py`."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -27,27 +27,31 @@ STARTS = "a list like [{ off = 3, money = 2500.0, fuel = 60.0 }]"
 
 
 class PowerTable(CaseTable):
-    """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: MW in an hour on."""
+    """{ market = "power", min = 50.0, max = 110.0, ramp = 60.0 }: limits of the power, in MW, while
+    the plant is on."""
 
     market: Literal["power"] = doc("market in which the power is sold", "power")
-    min: CaseInput = POWER("minimum power in an hour on", 0.0, name="power_min")
-    max: CaseInput = POWER("largest power in an hour on", range=POSITIVE, name="power_max")
+    min: CaseInput = POWER("minimum power while the plant is on", 0.0, name="power_min")
+    max: CaseInput = POWER("largest power while the plant is on", range=POSITIVE, name="power_max")
     ramp: CaseInput | None = POWER(
         "largest change of the power from one hour to the next", None, range=POSITIVE, name="ramp"
     )
 
 
 class FuelTable(CaseTable):
-    """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: MWh of fuel burnt."""
+    """{ market = "gas", idle = 45.0, per_mwh = 1.6 }: the fuel in MWh, for each hour in which the
+    plant is on and for each MWh of power."""
 
     market: Literal["gas"] = doc("market in which the fuel is bought", "gas")
-    idle: CaseInput = FUEL("fuel for each hour on, at any power", 0.0, name="fuel_idle")
+    idle: CaseInput = FUEL(
+        "fuel for each hour in which the plant is on, at any power", 0.0, name="fuel_idle"
+    )
     per_mwh: CaseInput = RATE("fuel for each MWh of power", name="fuel_per_mwh")
 
 
 class EmissionTable(CaseTable):
-    """{ per_fuel = 0.2, price = 70.0 }: certificates for each MWh of fuel, and their price; or
-    { per_fuel = 0.2, market = "co2" }."""
+    """{ per_fuel = 0.2, price = 70.0 }: the number of certificates for each MWh of fuel, and their
+    price; or { per_fuel = 0.2, market = "co2" }."""
 
     per_fuel: CaseInput = Quantity("1", NOT_NEGATIVE, GROUP, move=0.01)(
         "certificates for each MWh of fuel", 1.0, name="emission_per_fuel"
@@ -62,22 +66,24 @@ class EmissionTable(CaseTable):
 
 
 class StartTable(CaseTable):
-    """{ off = 12, money = 5200.0, fuel = 140.0 }: of a start after that number of hours off."""
+    """{ off = 12, money = 5200.0, fuel = 140.0 }: the cost of a start after at least that number of
+    hours off."""
 
     off: int = doc(
-        "smallest number of hours off before a start of this class", allowed=HOURS, ge=1, le=LONGEST
+        "hours off from which a start belongs to this class", allowed=HOURS, ge=1, le=LONGEST
     )
     money: CaseInput = MONEY("money paid for a start", 0.0, name="start_money")
     fuel: CaseInput = FUEL("fuel for a start", 0.0, name="start_fuel")
 
 
 class BeforeTable(CaseTable):
-    """{ off = 12 } or { on = 6, power = 80.0 }: hours off, or on, before the first hour."""
+    """{ off = 12 } or { on = 6, power = 80.0 }: for how many hours the plant has been off, or on,
+    before the first hour."""
 
     off: int | None = doc("hours off before the first hour", None, ANY_HOURS, ge=1, le=100_000)
     on: int | None = doc("hours on before the first hour", None, ANY_HOURS, ge=1, le=100_000)
     power: CaseInput | None = POWER(
-        "power in the hour before the first one, of a plant with a ramp", None, name="power_before"
+        "power in the hour before the first one, if the plant has a ramp", None, name="power_before"
     )
 
 
@@ -85,11 +91,11 @@ class PowerPlantTable(HourlyContractTable):
     """`[contract]` of kind "plant"."""
 
     power: dict = doc(
-        "power in an hour on, in MW",
+        "power while the plant is on, in MW",
         allowed='a table like { market = "power", min = 50.0, max = 110.0 }',
     )
     fuel: dict = doc(
-        "fuel for an hour on and for the power, in MWh",
+        "fuel for each hour in which the plant is on, and for the power, in MWh",
         allowed='a table like { market = "gas", idle = 45.0, per_mwh = 1.6 }',
     )
     emission: dict | None = doc(
@@ -101,8 +107,12 @@ class PowerPlantTable(HourlyContractTable):
     starts: list[Any] = doc(
         "classes of starts by hours off; without classes starts are free", [], STARTS
     )
-    min_up: int = doc("smallest number of hours on after a start", 1, HOURS, ge=1, le=LONGEST)
-    min_down: int = doc("smallest number of hours off after a stop", 1, HOURS, ge=1, le=LONGEST)
+    min_up: int = doc(
+        "smallest number of hours that the plant stays on after a start", 1, HOURS, ge=1, le=LONGEST
+    )
+    min_down: int = doc(
+        "smallest number of hours that the plant stays off after a stop", 1, HOURS, ge=1, le=LONGEST
+    )
     most_starts: int | None = doc(
         "largest number of starts in the term", None, "a whole number of starts, 1 or more", ge=1
     )
@@ -184,7 +194,7 @@ def _power_steps(where: TableContext, power: PowerTable, before: BeforeTable) ->
 
 
 def _too_many(where: TableContext, power: PowerTable) -> CaseError:
-    """The error of a plant with too many modes on."""
+    """The error for a plant with too many modes in which it runs."""
     ramp = None if power.ramp is None else float(power.ramp.values[0])
     message = (
         f"the plant has more than {MODES} states in which it runs, by hours and power; a larger "
@@ -195,7 +205,7 @@ def _too_many(where: TableContext, power: PowerTable) -> CaseError:
 def _by_class(
     name: str, starts: Sequence[StartTable], numbers: Sequence[CaseInput]
 ) -> CaseInput | None:
-    """The numbers of all classes, index [classes]; None without classes."""
+    """One number of every class of starts, index [classes]; None without classes."""
     if not starts:
         return None
     labels = tuple(f"{start.off} hours off" for start in starts)
@@ -216,6 +226,6 @@ def _starts(where: TableContext, table: PowerPlantTable) -> list[StartTable]:
             )
             raise where.error("starts.1.off", start.off, message)
         if i and start.off <= starts[i - 1].off:
-            message = f"it must be more than in the class before, {starts[i - 1].off}"
+            message = f"it must be more than that of the class before, {starts[i - 1].off}"
             raise where.error(f"starts.{i + 1}.off", start.off, message)
     return starts

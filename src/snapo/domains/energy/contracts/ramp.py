@@ -2,12 +2,13 @@
 
     |q(t) - q(t - 1)| <= ramp while on;   at most top = max(min, ramp) in the first and last hour on
 
-With the hours on fixed, cash is linear in the powers q, and limits hold for powers and for
-differences of two of them: at a corner every power is min, max, top or that before the first hour,
-plus a whole number of ramps. These are also the best powers where later prices are not known. By
-induction backwards, the value is convex in the power of the hour before between neighbouring steps,
-as maxima and means of convex functions are; the best next power is then a step, or one ramp away
-from the power before, which is a step if that power is one. No other powers are needed.
+If it is fixed in which hours the plant runs, cash is linear in the powers q, and the limits apply
+to powers and to differences of two powers. At a corner of these limits every power is therefore
+min, max, top or the power before the first hour, plus a whole number of ramps: a step. Steps are
+also the best powers if later prices are random. By backward induction, the value is convex in the
+power of the hour before, between neighbouring steps, because maxima and means of convex functions
+are convex. The best next power is then a step, or one ramp away from the power before, which is a
+step too if the power before is one. No other powers are needed.
 """
 
 from itertools import count
@@ -41,8 +42,8 @@ class PowerSteps(NamedTuple):
     """All steps of the power of a plant.
 
     - `steps`: the steps; `of_before`: the step before the first hour, -1 if the plant is off.
-    - `at_ends` [steps]: whether a plant may start at it and stop from it.
-    - `next` [steps]: the steps that can follow each.
+    - `at_ends` [steps]: whether a plant may start with this power and stop from it.
+    - `next` [steps]: the steps that can follow each step.
     - `conditions`: rows whose products with (min, max, ramp, before) are at least zero as long as
       the other fields are valid.
     """
@@ -55,7 +56,7 @@ class PowerSteps(NamedTuple):
 
 
 def power_steps(low: float, high: float, ramp: float, before: float | None) -> PowerSteps:
-    """The steps for these limits; none if the ramp, at least `high`, never binds."""
+    """The steps for these limits; none if the ramp is at least `high` and therefore never binds."""
     if ramp >= high:
         return PowerSteps((), -1, (), (), (_plain(RAMP - HIGH),))
     numbers = np.array([low, high, ramp, before or 0.0])
@@ -65,7 +66,7 @@ def power_steps(low: float, high: float, ramp: float, before: float | None) -> P
     conditions: list[np.ndarray] = [top - (LOW if ramp > low else RAMP)]
 
     def number_of(row: np.ndarray) -> int:
-        """The number of the step of this value, which may be new."""
+        """The number of the step with this value; a new step is added for a new value."""
         for i, other in enumerate(parts):
             if abs((row - other) @ numbers) <= near:
                 conditions.extend([row - other, other - row])

@@ -6,8 +6,8 @@ The MW are those that can be called either way: the smaller of the powers that m
 sold. Calls themselves are not modelled: it is assumed that they cancel on average and are paid
 separately. Prices of reserve are known today.
 
-With blocks of several steps a block is in reserve from its first step to its last one: its mode
-shows this.
+A block of several steps is sold as a whole; a mode of the contract shows that the block is in
+reserve.
 """
 
 from dataclasses import replace
@@ -29,7 +29,7 @@ from ..read.hours import HourlyQuantity, Hours, rows_by_hour
 TRADE, RESERVE = "trade", "reserve"  # names of moves
 MARKET, IN_RESERVE = 0, 1  # modes of a contract with blocks of several steps
 MODES = "in the market", "in reserve"
-STOCK = "two numbers of MWh, [1.0, 3.0]: 0 or more, the second not below the first"
+STOCK = "two numbers in MWh, 0 or more and the second not below the first, such as [1.0, 3.0]"
 PRICE = HourlyQuantity(
     "{currency}/MW/h", NOT_NEGATIVE, "reserve", move=1.0, by="time", column="price",
     name="reserve_price", meaning="price of each MW sold as reserve for an hour",
@@ -61,7 +61,8 @@ class SoldReserve(TreeRecord):
     """The terms of reserve.
 
     - `price`: index [] or [T]; `stock` [2]: minimum and maximum energy in store.
-    - `first_steps`, `last_steps` [T]: whether a step is the first, or the last one, of a block.
+    - `first_steps`, `last_steps` [T]: whether a step is the first step of a block, and whether it
+      is the last step.
     """
 
     price: CaseInput
@@ -71,12 +72,14 @@ class SoldReserve(TreeRecord):
     moves: tuple[tuple[int, int], ...] = field(static=True)
 
     def added(self, terms: StepTerms, earned: Array) -> StepTerms:
-        """Terms with the moves in reserve; `earned` [T]: the earnings of each of them."""
+        """The terms with the moves in reserve added; `earned` [T]: the earnings of a step in
+        reserve."""
         fixed = xp.stack([xp.zeros_like(earned), *[earned] * len(self.moves)], axis=1)
         return terms._replace(fixed=fixed, of_moves=self._limits(terms))
 
     def _limits(self, terms: StepTerms) -> MoveLimits:
-        """Of the first level, the energy in store; those of the other ones are as before."""
+        """Adds the limits of the first level, the energy in store; those of other levels do not
+        change."""
         first_steps, last_steps = xp.asarray(self.first_steps), xp.asarray(self.last_steps)
         bottom, top = terms.low[:, 0], terms.high[:, 0]
         low, high = [bottom], [top]
@@ -92,9 +95,9 @@ class SoldReserve(TreeRecord):
 
 
 def _possible(move: tuple[int, int], first_steps: Any, last_steps: Any) -> Any:
-    """[T] whether a move in reserve between two modes may be made on a step: it is a block of one
-    step, the first step of another block, one within it, or its last one. The last one is possible
-    outside of blocks in reserve too, so that every mode has a move."""
+    """[T] whether a move in reserve between two modes may be made on a step: as the only step of a
+    block, or as the first, an inner or the last step of a longer block. The move for a last step is
+    also possible on first steps, so that every mode has a move."""
     return {
         (MARKET, MARKET): first_steps & last_steps,
         (MARKET, IN_RESERVE): first_steps & ~last_steps,
@@ -104,7 +107,7 @@ def _possible(move: tuple[int, int], first_steps: Any, last_steps: Any) -> Any:
 
 
 def _moves(first_steps: np.ndarray, last_steps: np.ndarray) -> tuple[tuple[int, int], ...]:
-    """The moves in reserve that some step has."""
+    """The moves in reserve that are possible on at least one step."""
     longer = bool(np.any(first_steps & ~last_steps))
     modes = (MARKET, IN_RESERVE) if longer else (MARKET,)
     every = ((before, after) for before in modes for after in modes)
@@ -112,7 +115,7 @@ def _moves(first_steps: np.ndarray, last_steps: np.ndarray) -> tuple[tuple[int, 
 
 
 def with_reserve(layout: ContractLayout, reserve: SoldReserve | None) -> ContractLayout:
-    """The layout with the moves and modes of reserve; the first move is without it."""
+    """The layout with the moves and modes of reserve; the first move is the one without reserve."""
     if reserve is None:
         return layout
     still, flows = (0.0,) * len(layout.levels), tuple(range(len(layout.flows)))
@@ -125,7 +128,8 @@ def with_reserve(layout: ContractLayout, reserve: SoldReserve | None) -> Contrac
 def read_reserve(
     where: TableContext, raw: dict, hours: Hours, energy: float, currency: str
 ) -> SoldReserve:
-    """The table `reserve` of a store of `energy` MWh; blocks are those of the auctions, or hours.
+    """The table `reserve` of a store of `energy` MWh; blocks are those of the auctions, or single
+    hours.
 
     **Raises:** `CaseError` if the minimum energy does not fit in the store, or a price is missing.
     """

@@ -1,15 +1,16 @@
-"""Stores: two gas stores behind one connection, whose joint flow is limited by day.
+"""Stores: two gas stores behind one connection, with a daily limit on their joint flow.
 
     inventory k after a day = inventory k + in_k - out_k,
     -net_withdrawal <= sum over stores of in_k - out_k <= net_injection
     earnings = sum over days of discount x sum over stores of
                (out_k (1 - fuel out) - in_k (1 + fuel in)) S - costs
 
-A day is two steps at one price: first the flow of the first store, then that of the second one. In
-between, `joint flow` counts the net flow so far. The inventories from which all limits can be kept
-form a set with limits on each inventory and on their sum. Such sets keep this form when the flows
-of a day, a set of the same kind, are added to them (generalised polymatroids; A. Frank, E. Tardos,
-"Generalized polymatroids and submodular flows", Mathematical Programming 42 (1988), 489-563).
+A day has two steps with the same price: one for the flow of the first store, and one for the flow
+of the second store. The level `joint flow` counts the net flow of the day so far. The set of
+inventories from which all limits can be kept is described by limits on each inventory and on their
+sum. Such sets keep this form when the flows of a day, a set of the same kind, are added to them
+(generalised polymatroids; A. Frank, E. Tardos, "Generalized polymatroids and submodular flows",
+Mathematical Programming 42 (1988), 489-563).
 """
 
 from collections.abc import Mapping, Sequence
@@ -48,10 +49,10 @@ class Store(TreeRecord):
     """The terms of one store on T days.
 
     - `inventory`: index []; `limits`: minimum and maximum in store, index [T + 1]; `end`: the
-      inventory owed at the end, index [], None if any inventory is allowed and worthless.
-    - `rates`: largest injection and withdrawal, before `factors` [T, 2]; `costs`, `fuel`: costs
-      and fuel of both; `holding`: the cost of a unit in store, None if it is free; each has an
-      index [T].
+      inventory owed at the end, index []; None if any inventory is allowed, and has no value.
+    - `rates`: largest injection and withdrawal, to be multiplied by `factors` [T, 2]; `costs`,
+      `fuel`: costs and fuel of injection and withdrawal; `holding`: the cost of a unit in store,
+      None if it is free. Each has an index [T].
     """
 
     inventory: CaseInput
@@ -65,7 +66,8 @@ class Store(TreeRecord):
 
 
 class FeasibleSets(NamedTuple):
-    """Tight limits of each inventory and of the sum, within which the contract can be met."""
+    """The limits of each inventory and of their sum within which the contract can be met; every
+    limit is attained."""
 
     low: Array
     high: Array
@@ -74,7 +76,7 @@ class FeasibleSets(NamedTuple):
 
 
 class DailyFlows(NamedTuple):
-    """The largest injection and withdrawal on a day, of each store and of both together."""
+    """The largest injection and withdrawal on a day, for each store and for both together."""
 
     into: Array
     out: Array
@@ -83,7 +85,7 @@ class DailyFlows(NamedTuple):
 
 
 class StoresContract(EnergyContract):
-    """The terms of both stores, and of their joint flow; None if it has no limit."""
+    """The terms of both stores, and the limits of their joint flow, None if there is none."""
 
     stores: tuple[Store, Store]
     net_injection: CaseInput | None
@@ -137,7 +139,7 @@ class StoresContract(EnergyContract):
         return xp.stack([at(store.inventory) for store in self.stores])
 
     def _daily_flows(self, at: NumbersOf) -> DailyFlows:
-        """No more than the joint limits leave, whatever the other store does."""
+        """The largest flows that the joint limits allow with the best flow of the other store."""
         rates = [
             xp.stack([at(x.rates[side]) * x.factors[:, side] for x in self.stores], 1)
             for side in (0, 1)
@@ -158,7 +160,8 @@ class StoresContract(EnergyContract):
         return DailyFlows(into, out, net_in, net_out)
 
     def _limits(self, at: NumbersOf) -> tuple[Array, Array]:
-        """[T + 1, stores] the least and the most in store at the start of a day, and at the end."""
+        """[T + 1, stores] the smallest and the largest inventory at the start of each day, and at
+        the end."""
         low, high = (xp.stack([at(x.limits[side]) for x in self.stores], axis=1) for side in (0, 1))
         for k, store in enumerate(self.stores):
             if store.end is not None:
@@ -168,8 +171,9 @@ class StoresContract(EnergyContract):
         return low, high
 
     def _level_limits(self, flows: DailyFlows, sets: FeasibleSets) -> tuple[Array, Array]:
-        """[steps, levels] after each step: of the first store those of the end of the day, of the
-        second one those of its start until it has decided."""
+        """[steps, levels] after each step: the limits of the first store are those at the end of
+        the day; the limits of the second store are those at the start of the day, and after its own
+        step those at the end."""
         sides = []
         for limit, rate, net, sign in (
             (sets.low, flows.out, flows.net_out, -1.0),
@@ -182,8 +186,9 @@ class StoresContract(EnergyContract):
         return sides[0], sides[1]
 
     def _promises(self, flows: DailyFlows, sets: FeasibleSets) -> Promises:
-        """Limits of sums after each step, from which the second store can keep its own limits, the
-        joint ones and those of the sum; see `SUMS`."""
+        """Limits of sums of levels after each step, see `SUMS`. If they hold after the step of the
+        first store, the second store can keep its own limits, the joint limits and those of the
+        sum."""
         rows = xp.array(self.layout.sums)
         bottom, top, low, high = (
             sets.total_low[1:],
@@ -209,7 +214,7 @@ class StoresContract(EnergyContract):
         )
 
     def _holding(self, at: NumbersOf, daily: Array) -> LevelMoney | None:
-        """What is in store at the start of a day is paid for on it."""
+        """The cost of the gas in store at the start of each day, paid on that day."""
         if all(store.holding is None for store in self.stores):
             return None
         shape = len(daily), len(self.layout.levels), 2
@@ -230,8 +235,8 @@ def _by_step(*parts: Array) -> Array:
 
 
 def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> FeasibleSets:
-    """[T + 1] at the start of each day, and at the end. Without transfers nothing must be injected:
-    limits are then kept by withdrawing, or by no flow."""
+    """The feasible sets [T + 1] at the start of each day, and at the end. Without transfers nothing
+    must be injected: limits are then kept by withdrawing, or by no flow."""
 
     def tight(low: Array, high: Array, bottom: Array, top: Array) -> FeasibleSets:
         bottom, top = xp.maximum(bottom, xp.sum(low)), xp.minimum(top, xp.sum(high))
@@ -259,8 +264,8 @@ def _feasible(flows: DailyFlows, low: Array, high: Array, transfers: bool) -> Fe
 
 def layout_of(names: Sequence[str], unit: str, joint: bool, transfers: bool) -> ContractLayout:
     """The inventories and, with joint limits, the joint flow of the day; and one flow into and one
-    out of each store. Without transfers the first store decides whether the day is one of
-    injections."""
+    out of each store. Without transfers the first store decides whether the day is for injections
+    or for withdrawals."""
     levels = [Level(name, unit) for name in names] + [Level(JOINT_FLOW, unit)] * joint
     flows = []
     for k, name in enumerate(names):

@@ -1,4 +1,4 @@
-"""Reads a contract of two stores, and the files of both."""
+"""Reads a contract of two stores, and the files of the two stores."""
 
 import datetime
 import re
@@ -56,7 +56,8 @@ class NamedTable(NamedTuple):
 
 @dataclass(frozen=True)
 class OpenedStores:
-    """The contract with the tables of its stores, which have the same dates and units."""
+    """The numbers of the contract and the tables of its stores, which have the same dates and
+    units."""
 
     stores: tuple[NamedTable, ...]
     net_injection: CaseInput | None
@@ -106,14 +107,14 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
         message = "it must be the name of a TOML file next to the case"
         raise where.error("stores", name, message)
     if not re.fullmatch(r"\w[\w -]*", path.stem) or path.stem == JOINT_FLOW:
-        message = "it must be a name of letters, digits, spaces, - and _"
+        message = "it must contain only letters, digits, spaces, - and _"
         raise where.error("stores", name, message)
     if not path.is_file():
         raise where.error("stores", name, "there is no such file next to the case")
     data = load(path)[1]
     if list(data) != ["contract"]:
         message = (
-            "this file may have only the table [contract]; market and prices are those of the case"
+            "this file may have only the table [contract]; the case has the market and the prices"
         )
         raise CaseError(str(path), ", ".join(data), None, message)
     inner = TableContext(path, "contract", where.notes)
@@ -129,7 +130,7 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
         raise inner.error("end_value", table.end_value, NOTHING)
     costs = table.injection_cost, table.withdrawal_cost, table.inventory_cost
     if market.settlement != "flow" and any(np.any(x.values) for x in costs):
-        message = 'with costs, which are paid on the day of the flow, it must be "flow"'
+        message = 'if a store has costs, which are paid on the day of the flow, it must be "flow"'
         raise CaseError(str(where.file), "market.settlement", str(market.settlement), message)
     return NamedTable(path.stem, table, inner)
 
@@ -137,7 +138,7 @@ def _open(where: TableContext, name: str, market: Any) -> NamedTable:
 def read_stores(
     where: TableContext, opened: OpenedStores, steps: Sequence[datetime.date]
 ) -> StoresContract:
-    """The contract on its decision days, each of which is on two `steps`."""
+    """The contract on its decision days, each of which has two of the `steps`."""
     days = steps[::STORES]
     stores = tuple(
         _read_store(x, days, opened.transfers, today, (*where.keys, "inventory", k))
@@ -160,10 +161,11 @@ def read_stores(
 def _bumped_by_lots(
     stores: tuple[Store, ...], joint: tuple[CaseInput | None, ...]
 ) -> tuple[Store, ...]:
-    """The stores with limits of zero that are tested by the common measure of all volumes.
+    """The stores; a limit of zero is bumped by the common measure of all volumes when its
+    derivative is tested.
 
-    A smaller bump leaves inventories between the nodes of a fitted value, which is worse there: its
-    loss, divided by the bump, would be most of the derivative.
+    A smaller bump would lead to inventories between the nodes of the fitted value, where the fit is
+    worse. The loss of value from this, divided by the bump, would dominate the difference.
     """
     volumes = [np.abs(x.used()) for x in joint if x is not None]
     for store in stores:
@@ -196,7 +198,8 @@ def _read_store(
     today: float | None,
     key: tuple[str | int, ...],
 ) -> Store:
-    """The store on these days; `today`: the inventory, which the case has under `key`."""
+    """The store on these days; `today`: the inventory that the case sets under `key`, None if it
+    sets none."""
     name, table, where = opened
     limits = read_limits(where, table, days)
     low, high = limits.min_inventory, limits.max_inventory

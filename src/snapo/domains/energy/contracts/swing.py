@@ -1,10 +1,10 @@
-"""Swing: a volume a day at a strike, within limits of each contract year; take-or-pay.
+"""Swing: a daily volume at a strike, within limits of each contract year, with take-or-pay.
 
     earnings = sum over days of discount x q (S - strike),   strike a number, or factor I + add
                - sum over years of discount x shortfall x max(annual minimum - taken, 0)
 
-with minimum <= q <= maximum on each day and, over each contract year, at most the annual maximum,
-and at least its minimum if that is firm. I is the month-ahead index, see
+with minimum <= q <= maximum on each day and, in each contract year, at most the annual maximum, and
+at least the annual minimum if it is firm. I is the month-ahead index, see
 `gas_storage.prices.index`. Source: P. Jaillet, E. Ronn, S. Tompaidis, "Valuation of commodity-based
 swing options", Management Science 50 (2004).
 """
@@ -44,13 +44,13 @@ class SwingContract(EnergyContract):
 
     - `max_daily`, `min_daily`, `strike`: index [T]; `annual_min`, `annual_max`, `taken`: [].
     - `factor`, `add`, `fixing`: the numbers of an indexed strike, index []; `strike` is then None.
-      - `shortfall`: the price of each unit, index []; None if the minimum is firm, or paid at the
-      strike.
+    - `shortfall`: the price of each unit short of the minimum, index []; None if the minimum is
+      firm, or if the shortfall is paid at the strike.
     - `year_ends` [T]: whether a day is the last one of a contract year.
     - `make_up_price`, `made_up`: the price of a unit made up, and the units of last year that may
-      be made up; `older`: those of the year before, None if units are lost after one year;
-      `carry_max`, `carried`: the maximum that is carried forward, and the amount by which this
-      year's minimum is lower. All are None without the clause.
+      be made up; `older`: the units of the year before that, None if units are lost after one year.
+      `carry_max`, `carried`: the maximum that is carried forward, and the amount by which the
+      minimum of this year is lower. All are None without their clause.
     - `sign`: 1 if the volume is bought at the strike, -1 if it is sold.
     - `at_strike`: whether the shortfall is paid at the strike of the last day.
     - `firm`: whether the minimum is met on every path; `most_rights`: the number of rights, 0
@@ -144,9 +144,9 @@ class SwingContract(EnergyContract):
         return Terms(xp.stack(start) if start else xp.zeros(0), steps)
 
     def _promises(self, at: NumbersOf) -> Promises | None:
-        """The promises of a firm minimum with rights, in one contract year: the rest of it is at
-        most the most volume of a day, times the rights left, and times the days that rests
-        leave."""
+        """The promises of a firm minimum with rights, in one contract year. The part of the minimum
+        not yet taken is at most the largest daily volume times the number of rights left, and at
+        most that volume times the number of days that are left between rests."""
         if not self.firm or self.annual_min is None:
             return None
         if self.layout.banks:
@@ -164,8 +164,8 @@ class SwingContract(EnergyContract):
         return Promises(xp.broadcast_to(weights, (count, 2, 2)), bounds)
 
     def _carried(self, at: NumbersOf) -> Promises:
-        """The promises of a firm minimum, lower by the units carried forward: the rest of it is at
-        most the volume of the days left of the year."""
+        """The promises of a firm minimum from which the units carried forward are subtracted. The
+        part of it not yet taken is at most the volume of the days that are left in the year."""
         daily = at(self.max_daily)
         following = xp.append(daily[1:], 0.0)
 
@@ -208,7 +208,9 @@ class SwingContract(EnergyContract):
         if not self.layout.indexed:
             return prices
         if prices.calendar:
-            message = "with an indexed strike flows are fixed on their own day; leave out this key"
+            message = (
+                "with an indexed strike, flows are fixed on the day of the flow; leave out this key"
+            )
             raise where.error("nomination", None, message)
         if prices.kind not in ONE_FACTOR:
             allowed = ", ".join(f'"{kind}"' for kind in ONE_FACTOR)
@@ -222,7 +224,7 @@ class SwingContract(EnergyContract):
             message = f"the index of {first:%Y-%m} was fixed before today: specify it as `fixing`"
             raise where.error("strike.fixing", None, message)
         if self.fixing is not None and delivery.valuation < month - datetime.timedelta(1):
-            message = f"the index of {first:%Y-%m} is fixed on the last day before that month"
+            message = f"the index of {first:%Y-%m} is not fixed yet: leave out this key"
             raise where.error("strike.fixing", float(self.fixing.values[0]), message)
         return indexed(prices, delivery, self.fixing)
 
@@ -236,7 +238,7 @@ def layout_of(
 ) -> ContractLayout:
     """Levels, flows and moves; `rest`: days of rest after the use of a right, None without rights.
 
-    With balances between years, `banks`, there are limits and no rights.
+    `banks`: the number of balances between years. With them there are annual limits, but no rights.
     """
     if banks:
         take = EnergyFlow("take", f"{unit}/day", (1.0, *(0.0,) * banks))

@@ -1,4 +1,4 @@
-"""The table `[contract]` of a swing, and its reading; see `swing.py`."""
+"""The table `[contract]` of a swing contract, and its reader; see `swing.py`."""
 
 import datetime
 import re
@@ -32,14 +32,15 @@ SHORTFALL = '"firm", "strike", or a price of each unit such as 6.0'
 
 
 class AnnualTable(CaseTable):
-    """{ min = 200.0, max = 300.0 }: of each contract year."""
+    """{ min = 200.0, max = 300.0 }: limits of the volume in each contract year."""
 
     min: CaseInput = ANNUAL("minimum volume of a contract year", 0.0, name="annual_min")
     max: CaseInput | None = ANNUAL("maximum volume of a contract year", None, name="annual_max")
 
 
 class RightsTable(CaseTable):
-    """{ most = 100, rest = 5 }: days on which a volume may be taken, and days between them."""
+    """{ most = 100, rest = 5 }: the number of days on which a volume may be taken, and the days of
+    rest between them."""
 
     most: int = doc(
         "largest number of days on which a volume is taken",
@@ -55,8 +56,8 @@ class RightsTable(CaseTable):
 
 
 class MakeUpTable(CaseTable):
-    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and made up within that
-    number of years."""
+    """{ years = 2, price = 0.0 }: units short of the minimum are paid, and may be made up within
+    that number of years."""
 
     years: int = doc(
         "number of contract years in which missing units may be made up", 1,
@@ -72,7 +73,7 @@ class MakeUpTable(CaseTable):
 
 
 class CarryTable(CaseTable):
-    """{ years = 1, max = 8.0 }: units above the minimum lower that of the next year."""
+    """{ years = 1, max = 8.0 }: units above the minimum lower the minimum of the next year."""
 
     years: int = doc(
         "number of contract years in which units carried forward count",
@@ -91,7 +92,7 @@ class IndexTable(CaseTable):
     """{ index = "month-ahead", factor = 1.0, add = 0.25 }: an indexed strike."""
 
     index: Literal["month-ahead"] = doc(
-        "index of the strike: the mean forward price of the month on the day before it"
+        "index of the strike: the mean forward price of a month on the last day before it"
     )
     factor: CaseInput = FACTOR("factor of the index in the strike", 1.0, name="strike_factor")
     add: CaseInput = ADDED("amount added to the index in the strike", 0.0, name="strike_add")
@@ -110,7 +111,8 @@ def _strike(raw: Any, key: Any) -> CaseInput | IndexTable | None:
 
 
 def _with_units(table: AnyTable, units: dict[str, str]) -> AnyTable:
-    """Numbers of a table within a table do not know the names in their units: they get them."""
+    """Sets the units of the numbers in a table within a table; there, names such as "currency" in a
+    unit are not replaced yet."""
     numbers = {x: replace(y, unit=units[x]) for x, y in table if x in units and y is not None}
     return table.model_copy(update=numbers)
 
@@ -134,7 +136,7 @@ class SwingTable(CaseTable):
     start: DateKey = doc("first day with a decision")
     end: DateKey = doc("first day without a decision")
     side: Literal["call", "put"] = doc("whether a volume is bought or sold at the strike", "call")
-    max_daily: CaseInput = RATE("largest volume a day")
+    max_daily: CaseInput = RATE("largest volume per day")
     min_daily: CaseInput = RATE("volume that must be taken each day", 0.0)
     strike: Any = custom(
         "price of a unit, in currency/volume_unit",
@@ -249,7 +251,8 @@ def _check_promise(
     daily_max: np.ndarray,
     last_days: np.ndarray,
 ) -> None:
-    """A firm minimum with rights is of one contract year, at one volume a day, and can be met."""
+    """Refuses a firm minimum with rights over several contract years, with a daily volume that
+    changes, or that cannot be met."""
     if np.sum(last_days) > 1:
         message = "with rights the minimum cannot be firm in several contract years; use "
         raise where.error("shortfall", "firm", f'{message}"strike" or a price of each unit')
@@ -264,7 +267,7 @@ def _check_promise(
 
 
 def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None, CarryTable | None]:
-    """Both clauses, their numbers with their units."""
+    """The clauses `make_up` and `carry_forward`, with the units of their numbers."""
     unit = table.volume_unit
     units = {"units": unit, "older_units": unit, "max": unit, "price": f"{table.currency}/{unit}"}
     made_up, carried = None, None
@@ -280,11 +283,13 @@ def _banked(where: TableContext, table: SwingTable) -> tuple[MakeUpTable | None,
 def _check_bank(
     where: TableContext, table: SwingTable, clauses, limits, strike, daily_max, last_days
 ) -> None:
-    """Refuses clauses between contract years, see `_banked`, without their conditions."""
+    """Refuses clauses between contract years (see `_banked`) whose conditions are not met."""
     made_up, carried = clauses
     key = "carry_forward" if made_up is None else "make_up"
     if limits[0] is None:
-        raise where.error(key, None, "this clause needs a minimum, annual = { min = 200.0 }")
+        raise where.error(
+            key, None, "this clause needs an annual minimum, such as annual = { min = 200.0 }"
+        )
     if table.rights is not None:
         raise where.error(key, None, "this clause cannot be combined with rights")
     minimum, units = float(limits[0].values[0]), [0.0, 0.0]
@@ -329,7 +334,7 @@ def _check_bank(
 
 
 def _annual(where: TableContext, table: SwingTable, annual: AnnualTable | None):
-    """Least and most of a year, None if there is none, with their units."""
+    """Minimum and maximum of a year with their units; None for a limit that is absent."""
     if annual is None:
         return None, None
     unit = f"{table.volume_unit}/year"

@@ -1,11 +1,11 @@
-"""A bank between the periods of a level: units short in one are made up in the next ones, and units
-in excess lower the next minimum.
+"""A bank between the periods of a level: units short in one period can be made up in the next
+periods, and units in excess lower the next minimum.
 
-A period ends where the counted level restarts. The balances Z_1 to Z_N of the bank are by age: Z_k
-comes from k periods ago. Z_1 is positive for volumes to be made up, and negative for those carried
-forward, which are lost after one period; the others are not negative, and Z_N is lost after this
-period. The oldest are made up first. With the minimum m of a period, x+ = max(x, 0), O_k the sum
-of Z_j+ over j > k, and O_0 the sum over all j:
+A period ends where the counted level restarts. The balances Z_1 to Z_N of the bank are ordered by
+age: Z_k comes from k periods ago. Z_1 is positive for volumes to be made up, and negative for
+volumes carried forward, which are lost after one period. The other balances are not negative, and
+Z_N is lost after this period. The oldest units are made up first. m is the minimum of a period,
+x+ = max(x, 0), O_k is the sum of Z_j+ over j > k, and O_0 the sum over all j:
 
     own minimum        m - (-Z_1)+
     made up            u(Q) = (Q - m)+ - (Q - m - O_0)+,   Q the volume of the period so far
@@ -24,7 +24,7 @@ from snapo.problem.record.arrays import Array, Float
 
 
 class Bank(NamedTuple):
-    """The numbers of every step; balances are in the order of their age, the newest first.
+    """The numbers of every step; balances are ordered by age, the newest first.
 
     - `minimum`: m; `share`: the share of the missing units that may be made up, 1 or 0.
     - `limit`: the maximum of the units carried forward; `refund`: the amount earned for each unit
@@ -41,7 +41,7 @@ class Bank(NamedTuple):
         return Bank(*(x[t] for x in self))
 
     def owed(self, balances: Sequence[Any], positive: Callable) -> Any:
-        """The minimum of a period itself, less the units carried forward to it."""
+        """The minimum of a period, minus the units carried forward to it."""
         return self.minimum - positive(-balances[0])
 
     def made_up(self, counted: Any, balances: Sequence[Any], positive: Callable) -> Any:
@@ -50,7 +50,8 @@ class Bank(NamedTuple):
         return positive(above) - positive(above - _units(balances, positive))
 
     def settled(self, counted: Any, balances: Sequence[Any], positive: Callable) -> list[Any]:
-        """The balances after a period; they fall with the volume, and rise with the balances."""
+        """The balances after a period. They fall with the volume of the period, and rise with the
+        balances before it."""
         above = counted - self.minimum
         short = positive(self.owed(balances, positive) - counted)
         excess = positive(above - _units(balances, positive))
@@ -62,6 +63,6 @@ class Bank(NamedTuple):
 
 
 def _units(balances: Sequence[Any], positive: Callable) -> Any:
-    """The units to be made up in all."""
+    """The units to be made up, summed over all balances."""
     parts = [positive(balance) for balance in balances]
     return sum(parts[1:], parts[0])

@@ -1,17 +1,17 @@
 """The five parts of a contract that the core uses: levels, modes, moves, cash and names.
 
-Everything else reads only these: feasible moves, the simulator of one path, the policy, the
-lattice, the fitted value, the bound. A contract is a module of inputs with one method, `terms`, and
-a static `ContractLayout`. It may be in one of a few modes; on each step it makes one of the moves
-that begin in its mode, and each flow of that move takes a volume from an interval.
+The feasible moves, the simulator of one path, the policy, the lattice, the fitted value and the
+bound use only these parts. A contract is a module of inputs with one method, `terms`, and a static
+`ContractLayout`. It may be in one of a few modes; on each step it makes one of the moves that begin
+in its mode, and each flow of that move has a volume from an interval.
 
     levels after a step = levels + move.changes + effects[flow] volume
     earnings of a step  = move's money + move's index I + volume (price S + index I + money)
                           + money of the levels
 
-S is the spot price, and I, of an indexed contract, the index of its prices: the index of a month,
-or the spot price of a second commodity. Levels may be negative; their money is linear on each side
-of zero (`LevelMoney`).
+S is the spot price. I is the index of an indexed contract: the index of a month, or the spot price
+of a second commodity. Levels may be negative; the money of a level is linear on each side of zero
+(`LevelMoney`).
 
 All money is a present value. Limits hold after each step; a level that `restarts` is then
 settled (`short` for each unit below `owed`) and set to zero, as at the end of a contract year.
@@ -35,14 +35,14 @@ ONLY = 0  # the mode of a contract that has one
 
 
 class Level(NamedTuple):
-    """A volume that a contract counts: `name` in reports, its `unit`."""
+    """A volume that a contract counts: its `name` in reports, and its `unit`."""
 
     name: str
     unit: str
 
 
 class EnergyFlow(NamedTuple):
-    """A volume that may move: `name`, `unit`, and its effect on each level per unit."""
+    """A volume that may move: its `name` and `unit`, and the effect of one unit on each level."""
 
     name: str
     unit: str
@@ -50,7 +50,7 @@ class EnergyFlow(NamedTuple):
 
 
 class ContractMove(NamedTuple):
-    """A passage through one step.
+    """A way through one step.
 
     - `name`: its name in reports; `before`, `after`: the modes.
     - `flows`: indices of the flows that may be above zero; a method that compares volumes uses at
@@ -69,12 +69,12 @@ class ContractLayout(NamedTuple):
     """The fixed properties of a contract, on which compiled code depends.
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
-    - `banks`: how many of its last levels are balances of the first level between contract years,
-      by age; see `bank.py`.
+    - `banks`: how many of the last levels are balances of the first level between contract years,
+      ordered by age; see `bank.py`.
     - `reported`: names of the moves that a path counts.
     - `sums`: the weights of the levels in joint limits, see `Promises`.
-    - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`),
-      which has no effect on a level.
+    - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`);
+      such a flow has no effect on a level.
     """
 
     levels: tuple[Level, ...]
@@ -88,7 +88,7 @@ class ContractLayout(NamedTuple):
     fixed_volumes: bool = False
 
     def plain(self) -> tuple:
-        """The layout as plain tuples, for the file of a policy."""
+        """The layout as plain tuples, as it is saved in the file of a policy."""
         levels, flows, moves = (tuple(map(tuple, x)) for x in (self.levels, self.flows, self.moves))
         flags = self.indexed, self.banks, self.reported
         more = (self.sums, True) if self.fixed_volumes else (self.sums,) if self.sums else ()
@@ -103,7 +103,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def every_move(self) -> tuple[ContractMove, ...]:
-        """The moves; for a contract without any, the move in which everything may flow."""
+        """The moves; for a contract without moves, one move in which everything may flow."""
         none = (0.0,) * len(self.levels)
         everything = ContractMove("", ONLY, ONLY, tuple(range(len(self.flows))), none)
         return self.moves or (everything,)
@@ -120,7 +120,7 @@ class ContractLayout(NamedTuple):
 
     @property
     def places(self) -> tuple[tuple[int, ...], ...]:
-        """[moves] the numbers of the pairs of each flow of a move."""
+        """[moves] for each move, the numbers of the pairs of its flows."""
         pairs = self.pairs
         flows = [flow for _, flow in pairs]
         return tuple(
@@ -130,14 +130,14 @@ class ContractLayout(NamedTuple):
 
     @property
     def choices(self) -> tuple[int, ...]:
-        """The numbers of the moves in each mode that has more than one."""
+        """The numbers of the moves in all modes that have more than one move."""
         before = [move.before for move in self.moves]
         return tuple(m for m, mode in enumerate(before) if before.count(mode) > 1)
 
     @property
     def decisions(self) -> tuple[tuple[int, ...], ...]:
-        """The positions of each decision in an action: a share that no move fixes, or the weights
-        of the moves of a mode, one of which is made."""
+        """The positions of each decision in an action. A decision is a share that no move fixes, or
+        the choice of a move in a mode, with a weight for each of its moves."""
         before, count = [self.moves[m].before for m in self.choices], len(self.pairs)
         shares = () if self.fixed_volumes else tuple((i,) for i in range(count))
         return shares + tuple(
@@ -147,7 +147,8 @@ class ContractLayout(NamedTuple):
 
     @property
     def signs(self) -> tuple[int, ...]:
-        """[levels] 1, or -1 if flows move the level against the first level that they move."""
+        """[levels] 1, or -1 if a flow moves this level in the opposite direction to the first level
+        that it moves."""
         signs = np.ones(len(self.levels), int)
         for flow in self.flows:
             touched = np.flatnonzero(flow.effects)
@@ -158,30 +159,30 @@ class ContractLayout(NamedTuple):
 
     @property
     def flow_of(self) -> np.ndarray:
-        """[flows, moves] 1 if the flow is the one of the move, else 0."""
+        """[flows, moves] 1 if the move has this flow, otherwise 0."""
         flows = range(len(self.flows))
         return np.array([[float(flow in move.flows) for move in self.every_move] for flow in flows])
 
     @property
     def effects(self) -> np.ndarray:
-        """[flows, levels]"""
+        """[flows, levels] the effect of a unit of each flow on each level."""
         return np.array([flow.effects for flow in self.flows])
 
     @property
     def changes(self) -> np.ndarray:
-        """[moves, levels]"""
+        """[moves, levels] the change of each level by each move."""
         return np.array([move.changes for move in self.every_move])
 
 
 class Promises(NamedTuple):
-    """Obligations that several levels, or the mode, must leave room for.
+    """Obligations that limit several levels together, or depend on the mode.
 
     After each step, in each mode, `weights` times the levels is at least `minimum`. A flow with an
     effect on the sum raises it.
 
-    Their purpose is a minimum `owed` when a level restarts, which every path meets. Methods that
-    compare values charge a missed unit more than any unit costs. With `missed` the sums of the
-    layout are joint limits: they limit the flows that lower the sums. Methods then charge each
+    They ensure that every path meets a minimum `owed` when a level restarts. Methods that compare
+    values charge a missed unit more than any unit costs. If there is `missed`, the sums of the
+    layout are joint limits, which limit the flows that lower the sums. Methods then charge each
     unit missed after a step `missed` times more than any cost.
     """
 
@@ -192,10 +193,9 @@ class Promises(NamedTuple):
 
 class LevelMoney(NamedTuple):
     """Money that the levels earn: a step earns `after` for the levels after its move, minus
-    `before` for the levels at its start. The last axis has the amount for each unit below zero,
-    and for each unit above zero. If `after` and `before` are equal, they are the amount for a
-    change: a unit by which a level moves away from zero earns it, and a unit by which it returns
-    costs it.
+    `before` for the levels at its start. The last axis has the amount for each unit below zero, and
+    for each unit above zero. If `after` and `before` are equal, the change of the level counts:
+    each unit away from zero earns the amount, and each unit towards zero costs it.
     """
 
     before: Float[Array, "T levels 2"]
@@ -203,8 +203,8 @@ class LevelMoney(NamedTuple):
 
 
 def level_money(rates: Array, levels: Any, positive: Callable) -> Any:
-    """The money of levels, one entry or array for each, at a step's row [levels, 2] of `before` or
-    `after`."""
+    """The money of levels. `rates`: the row [levels, 2] of a step in `before` or `after`; `levels`:
+    one entry or array for each level."""
     parts = [
         rate[0] * positive(-level) + rate[1] * positive(level) for rate, level in zip(rates, levels)
     ]
@@ -216,7 +216,7 @@ class MoveLimits(NamedTuple):
     move whose `low` is above its `high` is not allowed in the step.
 
     The limits make the value jump between levels, so that methods need nodes on the limits, and
-    compare all volumes from node to node.
+    must compare all volumes from node to node.
     """
 
     low: Float[Array, "T moves levels"]
@@ -224,22 +224,21 @@ class MoveLimits(NamedTuple):
 
 
 class FallingLimit(NamedTuple):
-    """The limit of the first level falls as the last one rises, by `by` when the last one passes a
-    multiple of `every`. It limits only flows that raise the first level. The value jumps at
-    multiples.
+    """The limit of the first level falls by `by` whenever the last level passes a multiple of
+    `every`. It limits only flows that raise the first level. The value jumps at the multiples.
     """
 
     every: Float[Array, " T"]
     by: Float[Array, " T"]
 
     def falls(self, counted: Any, near: Any, xp: Any) -> Any:
-        """The number of falls of the limit at a row, if the last level is `counted` up to a
-        multiple or `near` above it."""
+        """How often the limit has fallen if the last level is `counted`. A level that is above a
+        multiple by at most `near` has not passed it."""
         return xp.maximum(xp.ceil((counted - near) / self.every) - 1, 0.0)
 
 
 class Intraday(NamedTuple):
-    """Trades of differences from a schedule, see `intraday.py`; in units of a market.
+    """Trades of differences from a schedule, in units of the market; see `intraday.py`.
 
     - `half_spread`: the cost of each unit of the difference; `discount`: the discount factor of
       this cost.
@@ -252,7 +251,7 @@ class Intraday(NamedTuple):
 
 
 class StepTerms(NamedTuple):
-    """The numbers of every step: leaves [T, flows] or [T, levels].
+    """The terms of every step: leaves [T, flows] or [T, levels].
 
     - `least`, `most`: the interval of a flow. `price`, `index`, `money`: a unit of the flow earns
       price x spot + index x the index + money; `index` is None if the contract has no index.
@@ -304,60 +303,64 @@ class StepPrices(NamedTuple):
         return cash if terms.index is None else cash + terms.index[place] * self.index
 
     def units(self, terms: StepTerms, t: int) -> np.ndarray:
-        """[flows, columns] the same on step t of all flows, at prices of several columns."""
+        """[flows, columns] the earnings of a unit of every flow on step t, for the prices of each
+        column."""
         return np.asarray(self.unit(terms, (t, slice(None), None)))
 
     def move(self, terms: StepTerms, row: Any) -> Any:
-        """The earnings of a move, for all flows; `row`: like `place` of `unit`."""
+        """The earnings of a move, without those of its flows; `row`: its index in the leaves of
+        `terms`."""
         money = terms.fixed[row]
         if terms.fixed_index is None:
             return money
         return money + terms.fixed_index[row] * self.index
 
     def moves(self, terms: StepTerms, t: int) -> np.ndarray:
-        """[moves, columns] the same on step t; [moves] where no price matters."""
+        """[moves, columns] the earnings of every move on step t; [moves] if they do not depend on a
+        price."""
         if terms.fixed_index is None:
             return np.asarray(terms.fixed[t])
         return np.asarray(self.move(terms, (t, slice(None), None)))
 
 
 class Terms(NamedTuple):
-    """The numbers of a contract: `start` [levels], and those of its steps."""
+    """The numbers of a contract: the levels at the `start` [levels], and the terms of its steps."""
 
     start: Float[Array, " levels"]
     steps: StepTerms
 
 
 class EnergyContract(TreeRecord):
-    """The terms agreed. When read, it has the numbers of the case; in a simulator it has none."""
+    """The agreed terms. After reading, the record has the numbers of the case; in a simulator it
+    has no numbers."""
 
     layout: AbstractVar[ContractLayout]
 
     @abc.abstractmethod
     def terms(self, at: NumbersOf, paid: Array, settled: Array) -> Terms:
-        """The numbers of every step; `at`: gives the numbers of an input where they are used.
-        `paid` [T]: discount factors of payments for the commodity; `settled` [T]: those of amounts
-        that are paid a day after the step.
+        """The terms of every step. `at`: returns the numbers of an input in the form in which they
+        are used. `paid` [T]: discount factors of payments for the commodity; `settled` [T]:
+        discount factors of amounts that are paid a day after the step.
         """
 
     @abc.abstractmethod
     def keys_at(self, levels: Mapping[str, float], mode: str, index: float | None) -> dict:
-        """{key of `[contract]`: value} for a case that begins with these levels, by name, in this
-        mode; "a.b" is a key of a table. `index`: the index of the first step, where it was fixed
-        before.
+        """{key of `[contract]`: value} for a case that begins with these levels, {name: level}, in
+        this mode; "a.b" is the key b in the table a. `index`: the index of the first step, if it
+        was fixed before.
 
         **Raises:** `ValueError` if no case can begin in this way.
         """
 
     @property
     def third_share(self) -> CaseInput | None:
-        """How many units of a third commodity, whose price moves, come with a unit of the second:
-        the index is then the cost of both. None without such a commodity."""
+        """How many units of a third commodity with a random price are needed for a unit of the
+        second one; the index is then the cost of both. None without a third commodity."""
         return None
 
     def priced(self, where: TableContext, prices: PriceProcess, delivery: Delivery) -> PriceProcess:
         """The prices on which the cash flow depends, made from the prices of the case; by default
-        the same. `where`: the table `[contract]`.
+        these prices themselves. `where`: the table `[contract]`.
 
         **Raises:** `CaseError` if these prices are not supported.
         """

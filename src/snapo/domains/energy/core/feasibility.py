@@ -1,8 +1,9 @@
 """Levels from which all obligations can be met, and the volumes that lead to such levels.
 
-Each level has an interval at the start of every step: backwards from the end, the levels from which
-some move reaches the interval of the next step. Levels are treated one by one, so a contract must
-not have an obligation on one level that is limited only by another.
+Each level has an interval at the start of every step, computed backwards from the end: the levels
+from which the interval of the next step can be reached by at least one move. Levels are treated one
+by one. A contract must therefore not have an obligation on one level that only another level
+limits.
 """
 
 import functools
@@ -21,7 +22,7 @@ MISSED = 5.0  # charge for a unit of a promised minimum, in the largest amount t
 
 
 class Intervals(NamedTuple):
-    """Intervals of the levels, [T, levels] each: at the start of a step, and after its moves."""
+    """Intervals of the levels, each [T, levels], at the start of a step and after its moves."""
 
     low: Float[Array, "T levels"]
     high: Float[Array, "T levels"]
@@ -30,7 +31,8 @@ class Intervals(NamedTuple):
 
 
 def intervals(layout: ContractLayout, steps: StepTerms) -> Intervals:
-    """An empty interval has its low above its high, and so have all intervals before it."""
+    """The intervals of all steps. In an empty interval, and in all intervals before it, `low` is
+    above `high`."""
     least, most = changes(layout, steps)
 
     def back(successor, row):
@@ -63,7 +65,8 @@ def changes(layout: ContractLayout, steps: StepTerms) -> tuple[Array, Array]:
 
 
 def charged(steps: StepTerms, forward: Array) -> StepTerms:
-    """With promises: a charge for a missed unit, so large that no method misses one by choice."""
+    """The terms; if they have promises, with a charge for a missed unit that is so large that no
+    method misses one by choice."""
     if steps.promises is None:
         return steps
     price = xp.abs(steps.price) + (0.0 if steps.index is None else xp.abs(steps.index))
@@ -78,7 +81,7 @@ def charged(steps: StepTerms, forward: Array) -> StepTerms:
 class FeasibleVolumes(NamedTuple):
     """Volumes of the flows of a move: the forced and the maximum volume of each.
 
-    `up_to`: the volume between both at which a falling limit falls; None without such a limit.
+    `up_to`: the volume between them at which a falling limit falls; None without such a limit.
     """
 
     forced: Array
@@ -86,9 +89,9 @@ class FeasibleVolumes(NamedTuple):
     up_to: Array | None = None
 
     def at(self, k: int, share: Array) -> Array:
-        """The volume of flow k: this share of its feasible volume, added to the forced volume. A
-        share on one side of the volume at which a limit falls remains on that side, so that a
-        decision held fixed does not pass the fall; the derivatives are those on that side.
+        """The volume of flow k: the forced volume plus this share of the rest of the feasible
+        volume. A share on one side of the volume at which a limit falls remains on that side, so
+        that a decision held fixed does not pass the fall; the derivatives are those on that side.
         """
         forced, free = self.forced[k], self.most[k] - self.forced[k]
         if self.up_to is None:
@@ -105,8 +108,9 @@ def volumes(
 ) -> FeasibleVolumes:
     """The volumes of one move from these levels [levels], in the order of its flows.
 
-    A flow is forced where levels would otherwise leave the next interval, and is limited so that
-    they remain in it. `now`: a row of a schedule with `terms` and `intervals`.
+    A part of a flow is forced if the levels would otherwise leave the next interval, and a flow is
+    limited so that the levels remain in it. `now`: a row of a schedule with `terms` and
+    `intervals`.
     """
     this = layout.every_move[move]
     start = [levels[i] + change for i, change in enumerate(this.changes)]
@@ -153,7 +157,8 @@ def volumes(
 
 
 def _room_of_sums(layout: ContractLayout, move: ContractMove, now: Any, start: list) -> list[Array]:
-    """For each joint limit, how far its sum is above it, from these levels by this move."""
+    """How far the sum of each joint limit is above the minimum that applies after this move, at
+    these levels."""
     if not layout.sums:
         return []
     minimum, room = now.terms.promises.minimum[:, move.after], []
@@ -166,7 +171,8 @@ def _room_of_sums(layout: ContractLayout, move: ContractMove, now: Any, start: l
 def _range(
     layout: ContractLayout, flow: int, now: Any, start: list, room_of_sums: list[Array]
 ) -> tuple[Array, Array]:
-    """The least and the most volume of a flow by the limits of levels and the joint limits."""
+    """The smallest and the largest volume of a flow that the limits of levels and the joint limits
+    allow."""
     need, leave, effects = [], [], layout.flows[flow].effects
     for i, effect in enumerate(effects):
         if effect:
@@ -199,7 +205,8 @@ def volumes_by_move(
 def of_fixed_moves(
     layout: ContractLayout, terms: StepTerms, prices: StepPrices
 ) -> tuple[Array, list[Array]]:
-    """[moves] the earnings of each move that fixes its volume; and by flow the volumes [moves]."""
+    """[moves] the earnings of the moves, each of which fixes its volume; and for each flow the
+    volumes [moves]."""
     earned = prices.move(terms, slice(None))
     volumes = [terms.fixed_volume * of_move for of_move in layout.flow_of]
     for flow, volume in enumerate(volumes):
@@ -225,7 +232,7 @@ def first_fault(layout: ContractLayout, schedule: Any) -> tuple[int, int] | None
 
 
 def check_limits(case: Any, schedule: Any) -> None:
-    """Refuses a contract that cannot be met; `schedule`: with NumPy leaves.
+    """Refuses a contract whose limits cannot be met; `schedule`: with NumPy leaves.
 
     **Raises:** `CaseError` with the first step and level at which no decisions can meet the
     limits.

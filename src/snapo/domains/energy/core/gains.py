@@ -1,10 +1,10 @@
 """The gains of the units of a feasible volume, from the rows of a table of unit values.
 
 The value of one more unit of a volume is constant between the rows of the table and changes at
-them. A line through a few units would put the last profitable unit between rows, where the best
-volume never lies; without volatility, 0.1 to 0.7 % of the value would be lost. If volumes are
-longer than a row, the last profitable row is therefore searched for; if the value jumps between
-levels, the row with the largest total gain up to it.
+them. A line through the gains of a few units would place the last profitable unit between rows,
+where the best volume never lies; without volatility, 0.1 to 0.7 % of the value would be lost. If a
+volume spans several rows, the last profitable row is therefore searched for. If the value jumps
+between levels, the search is for the row at which the sum of the gains is largest.
 """
 
 import functools
@@ -23,9 +23,8 @@ SEGMENTS = 4  # of a volume; the gain of a unit is linear within each
 
 
 class VolumeGains(NamedTuple):
-    """The gains of a free volume: `units` [SEGMENTS] has the gains of the units at both ends of
-    each segment, and `positions` [SEGMENTS - 1] the limits between segments, as shares of the
-    volume."""
+    """The gains of a free volume. `units` [SEGMENTS]: the gains of the units at both ends of each
+    segment; `positions` [SEGMENTS - 1]: the limits between segments, as shares of the volume."""
 
     units: list[tuple[Array, Array]]
     positions: list[Array]
@@ -40,9 +39,9 @@ class VolumeGains(NamedTuple):
 class FlowRows(NamedTuple):
     """The rows along a flow from levels `start`, in the table of a step.
 
-    `pair`: the pair of a move and the flow, whose `effects` on the levels are not all zero;
-    `banks`: the number of last levels that are balances, between whose rows values are linear;
-    `signs`: the signs of the layout.
+    `pair`: the number of the pair of a move and the flow; `effects`: the effects of the flow on the
+    levels, not all zero; `banks`: how many of the last levels are balances, between whose rows
+    values are linear; `signs`: the signs of the layout.
     """
 
     table: UnitValues
@@ -53,8 +52,8 @@ class FlowRows(NamedTuple):
     signs: tuple[int, ...]
 
     def gains(self, forced: Array, free: Array, read: Array, unit: Array) -> VolumeGains:
-        """The gains of the units of a `free` volume beyond a `forced` one. `read`: the functions of
-        the prices; `unit`: earnings of a unit today."""
+        """The gains of the units of a `free` volume beyond a `forced` one. `read`: the values of
+        the functions of the prices; `unit`: the earnings of a unit today."""
         if self.table.slopes.shape[1:-1]:
             if self.table.units is not None:
                 return self._searched(self.table.units[self.pair], forced, free, read, unit)
@@ -67,8 +66,8 @@ class FlowRows(NamedTuple):
         return VolumeGains.even([unit + jnp.sum(row * read) for row in rows])
 
     def _searched(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
-        """With these segments: the rows before the last one that gains; that row; the next one; the
-        rows behind it."""
+        """The segments are the rows before the last profitable row, that row, the next one, and the
+        rows behind the next one."""
         dims, flat = self._table
         position, start, room, stride, behind = self._along(forced)
         length = free / units[-1]
@@ -94,8 +93,8 @@ class FlowRows(NamedTuple):
         return _up_to_last(gain, lambda row: row - behind, count, length, len(units))
 
     def _compared(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
-        """With these segments: the rows up to the one at which the volume gains most, and the rows
-        behind it, each at their mean gain."""
+        """The segments are the rows up to the one at which the sum of the gains is largest, and the
+        rows behind it, both with their mean gain."""
         dims, flat = self._table
         _, start, room, stride, behind = self._along(forced)
         length, first_row = free / units[-1], row_number(self.pair, start, dims)
@@ -115,10 +114,10 @@ class FlowRows(NamedTuple):
         return VolumeGains([(up_to, up_to)] * 2 + [(after, after)] * 2, [position] * (SEGMENTS - 1))
 
     def _along(self, forced: Array) -> tuple[Array, Array, Array, Array, Array]:
-        """Of the rows along the flow: the position of a volume, the row from which it starts, how
-        many rows are ahead of it, the numbers from one to the next, and the part of the first row
-        that lies behind. Rows change together on all levels that the flow moves and that have
-        several rows."""
+        """For the rows along the flow: the position after the forced volume, the row from which the
+        free volume starts, how many rows are ahead, the difference between the numbers of
+        neighbouring rows, and the part of the first row that is already behind. All levels that the
+        flow moves and that have several rows change their rows together."""
         dims = self._table[0]
         position = position_of(self.table, self._levels(forced))
         start = along(position, self.effects, first=True)
@@ -135,12 +134,13 @@ class FlowRows(NamedTuple):
         return position, start, room, stride, behind
 
     def _between_rows(self, units: Array, forced, free, read, unit: Array) -> VolumeGains:
-        """With these segments: the pieces before the last one that gains; that piece; the next
-        one; the pieces behind it. A piece is between two rows of any levels that the flow moves.
+        """The segments are the pieces before the last profitable piece, that piece, the next one,
+        and the pieces behind the next one. A piece ends where any level that the flow moves passes
+        a row.
 
-        The value is linear on simplices along the flows (`methods/corners.py`): on a piece it
-        changes as on one of the edges of the cell of rows, which all are rows of the table. Levels
-        cross their rows in the order of their distances from them.
+        The value is linear on simplices along the flows (`methods/corners.py`). On a piece it
+        therefore changes as along one of the edges of the cell between rows, and every edge is a
+        row of the table. Levels pass their rows in the order of their distances from them.
         """
         dims, flat = self._table
         position = position_of(self.table, self._levels(forced))
@@ -198,7 +198,7 @@ class FlowRows(NamedTuple):
 
     @property
     def _table(self) -> tuple[tuple[int, ...], Array]:
-        """Numbers of rows of each level, and all rows of all pairs."""
+        """The number of rows of each level, and the rows of all pairs in one array."""
         slopes = self.table.slopes
         return slopes.shape[1:-1], slopes.reshape((-1, slopes.shape[-1]))
 
@@ -206,8 +206,8 @@ class FlowRows(NamedTuple):
         return self.start + volume * jnp.asarray(self.effects)
 
     def _slope(self, volume: Array, last: bool) -> Array:
-        """The row of the unit that starts after a volume, or of the last one up to it; between the
-        rows of a bank's balances, which are the last levels."""
+        """The slopes of the unit that follows a volume, or (`last`) of the last unit of the volume;
+        interpolated between the rows of the balances of a bank, which are the last levels."""
         dims, flat = self._table
         if not dims:
             return flat[self.pair]
@@ -227,8 +227,9 @@ class FlowRows(NamedTuple):
 def _up_to_last(
     gain: Callable, start: Callable, count: Array, length: Array, searches: int
 ) -> VolumeGains:
-    """The gains of a volume of `count` parts, `length` long, of which the last one that gains is
-    found in so many searches. `gain`: that of a unit of a part; `start`: where a part starts."""
+    """The gains of a volume with `count` parts and the length `length`, whose last profitable part
+    is determined in `searches` steps of bisection. `gain`: the gain of a unit in a part; `start`:
+    the position at which a part starts."""
     first, last = gain(jnp.zeros_like(count)), gain(count - 1)
     gaining, above, below = jnp.zeros_like(count), first, first
     for power in reversed(range(searches)):
@@ -243,12 +244,12 @@ def _up_to_last(
 
 
 def _between(position: Array, count: int) -> tuple[Array, Array]:
-    """The row below a position among a number of rows, and the share of the next one."""
+    """The row below a position among `count` rows, and the weight of the next row."""
     left = jnp.clip(jnp.floor(position), 0.0, max(count - 2, 0))
     return left, jnp.clip(position - left, 0.0, 1.0)
 
 
 def position_of(table: UnitValues, levels: Array) -> Array:
-    """[levels] the position of the levels, in rows."""
+    """[levels] the position of the levels, counted in rows."""
     rows = table.rows
     return (levels - rows.low) * (1 / jnp.where(rows.spacing > 0, rows.spacing, 1.0))

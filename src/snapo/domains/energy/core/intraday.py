@@ -2,19 +2,20 @@
 
 At an auction the flows of all steps up to the next one are scheduled, at forward prices. In each
 step the flows may still differ: the difference is sold at the spot price minus half a spread, or
-bought at the spot price plus it. With s the units sold by the schedule and m those sold by the
-flows,
+bought at the spot price plus half a spread. With s the units sold by the schedule and m those sold
+by the flows,
 
     earnings of a step = s F(auction, step) + (m - s) S - half spread x |m - s| + other money.
 
-The schedule is feasible: flows that begin from the levels at the auction, and keep all limits.
-Since E[S | auction] = F, it earns on average nothing over the spot price. Without a spread the
-value therefore equals that without auctions; with any spread it lies between that and the value of
-a schedule that is always kept.
+The schedule is feasible: its flows begin from the levels at the auction and keep all limits. Since
+E[S | auction] = F, a schedule earns on average as much as sales at the spot price. Without a spread
+the value is therefore equal to the value without auctions. With a spread it lies between that value
+and the value of a schedule that is always kept.
 
 The action has three shares of each volume: the share scheduled at the forward price, and the best
-shares if a unit has the spot price minus, or plus, a multiple of the half spread. The flow is the
-scheduled volume, moved to the nearer of the other two volumes if it is not between them.
+shares if the price of a unit is the spot price minus, or plus, a multiple of the half spread. The
+flow is the scheduled volume, moved to the nearer of the other two volumes if it is not between
+them.
 """
 
 from dataclasses import fields, replace
@@ -55,9 +56,9 @@ class IntradaySimulator(EnergySimulator):
     """A contract with one move, its schedules and its trades.
 
     The first third of the observation depends only on the levels and prices at the last auction. A
-    policy must take the shares of the schedule from that third, as `IntradayPolicy` does: a policy
-    that uses later prices for them earns too much, and the mean of the output `GAIN` is then not
-    zero.
+    policy must compute the shares of the schedule from that third, as `IntradayPolicy` does. A
+    policy that uses later prices for these shares earns too much; the mean of the output `GAIN` is
+    then not zero.
 
     **Arguments:** those of `EnergySimulator`, and
 
@@ -109,7 +110,7 @@ class IntradaySimulator(EnergySimulator):
         return state._replace(scheduled=state.levels, auction_price=state.price)
 
     def at_auction(self, now: Step, state: State) -> State:
-        """The state of the schedule: its levels, and the prices at the last auction."""
+        """The state for the schedule: the scheduled levels, and the prices at the last auction."""
         new = now.begins
         assert new is not None
         levels = jnp.where(new, state.levels, state.scheduled)
@@ -190,7 +191,7 @@ class IntradaySimulator(EnergySimulator):
 class IntradayPolicy(UnitValuePolicy):
     """The same rule for the schedule and for both prices of a trade.
 
-    The observation has the entries for the three, one after the other.
+    The observation has the entries for these three views, one after the other.
     """
 
     def __init__(self, layout: ContractLayout, features: int, **settings: Any):
@@ -209,7 +210,8 @@ def simulator_kind(case: Any) -> type[EnergySimulator]:
 def without_trades(problem: Problem, scheduled: bool) -> Problem:
     """The contract without auctions, or (`scheduled`) one that always keeps its schedules.
 
-    The exact values of these two contracts are above and below the value with auctions and trades.
+    The exact value of the former is an upper bound, and that of the latter a lower bound, on the
+    value with auctions and trades.
     """
     simulator = problem.simulator
     assert isinstance(simulator, IntradaySimulator)

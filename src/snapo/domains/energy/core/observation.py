@@ -18,13 +18,16 @@ OF_PAIR = 3 * SEGMENTS  # numbers: gains at both ends, positions between segment
 
 
 class Head(NamedTuple):
-    """Numbers of the decision rule, at the start of the observation; prices divided by their scale.
+    """The numbers of the decision rule, at the start of the observation; prices are divided by
+    their scale.
 
-    - `units` [pairs, SEGMENTS, 2]: gains of units of each feasible volume, see `VolumeGains`.
+    - `units` [pairs, SEGMENTS, 2]: the gains of the units of each feasible volume, see
+      `VolumeGains`.
     - `positions` [pairs, SEGMENTS - 1]: the limits between segments, as shares of the free volume.
-    - `room` [pairs]: the free volume, over the largest volume of a step.
-    - `base` [choices]: gain of each move without its free volume, divided by the scales of price
-      and volume; very low for moves that are not allowed. Empty if there is no choice.
+    - `room` [pairs]: the free volume, divided by the largest volume of a step.
+    - `base` [choices]: the gain of each move without its free volume, divided by the scales of
+      price and volume; a large negative number for moves that are not allowed. Empty if there is no
+      choice.
     """
 
     units: Array
@@ -60,7 +63,7 @@ def head(
     prices: StepPrices,
     free: Array,
 ) -> Head:
-    """The gains of one step at one state; `free` [moves]: which are allowed."""
+    """The gains of one step in one state; `free` [moves]: the moves that are allowed."""
     # Products with inverses that all paths share: divisions take a third of a step's time.
     size, per_price = constants.volume_scale, 1 / constants.price_scale
     per_size, per_money = 1 / size, 1 / (constants.price_scale * size)
@@ -114,7 +117,8 @@ def _of_fixed_moves(
     free: Array,
     read: Array,
 ) -> Head:
-    """The gains where each move fixes its volume; `read`: functions of the prices."""
+    """The gains if each move fixes its volume; `read`: the values of the functions of the
+    prices."""
     gain = of_fixed_moves(layout, now.terms, prices)[0]
     if now.unit_values is not None and now.unit_values.moves is not None:
         unit_values = jax.lax.stop_gradient(now.unit_values)
@@ -144,7 +148,7 @@ def observation(
     prices: StepPrices,
     free: Array,
 ) -> Float[Array, " features"]:
-    """The head first, then the features of the network."""
+    """The observation: the head, followed by the features of the network."""
     gains = head(layout, process, constants, now, state, prices, free)
     year, left = 2 * jnp.pi * now.time, constants.last_time - now.time
     low, high = now.intervals.low, now.intervals.high

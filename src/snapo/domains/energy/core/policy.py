@@ -1,8 +1,8 @@
 """The policy of all contracts: the fitted value of a unit of each level and mode, and a network.
 
-A volume flows while a unit earns more than it costs in the value of the levels; the move with the
-largest gain is made. The network corrects the value of a unit of each level, how it changes with
-the volume, and the value of each mode.
+A volume flows as long as a unit of it earns more than the value of the levels loses; the move with
+the largest gain is made. The network corrects the value of a unit of each level, how it changes
+with the volume, and the value of each mode.
 """
 
 from typing import Any
@@ -30,7 +30,8 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class UnitValuePolicy(Policy):
-    """The action has a share of each volume, and a weight for each move that has alternatives."""
+    """The policy. Its action has a share of each volume, and a weight for each move that has
+    alternatives."""
 
     network: Network | None
     form: tuple = eqx.field(static=True)
@@ -45,12 +46,12 @@ class UnitValuePolicy(Policy):
 
     @property
     def layout(self) -> ContractLayout:
-        """Levels, flows, modes and moves."""
+        """The levels, flows, modes and moves of the contract."""
         return ContractLayout.of_plain(self.form)
 
     @property
     def head(self) -> int:
-        """Numbers of the observation that the network does not see."""
+        """The number of entries of the observation that the network does not see."""
         return head_size(self.layout)
 
     def __call__(self, observation, smooth=EXACT):
@@ -75,7 +76,8 @@ class UnitValuePolicy(Policy):
         return jnp.concatenate([jnp.stack(shares), _weights(layout, jnp.stack(scores), smooth)])
 
     def corrected(self, gains: Head, seen: Array) -> tuple[list[Array], Array]:
-        """Gains of the units of each volume, and the gain of each move."""
+        """The gains of the units of each volume, and the gain of each move, after the correction by
+        the network."""
         if self.network is None:
             return list(gains.units), gains.base
         layout, numbers = self.layout, CORRECTION * self.network(seen)
@@ -109,18 +111,19 @@ class UnitValuePolicy(Policy):
 
     @property
     def value_rule(self) -> "UnitValuePolicy":
-        """The fitted value only, by a network that adds nothing."""
+        """The policy of the fitted value only: its network adds nothing."""
         return with_idle_network(self)
 
     @property
     def simplest(self) -> "UnitValuePolicy":
-        """The policy without a network, if the network adds nothing."""
+        """The policy without its network, if the network adds nothing; otherwise the policy
+        itself."""
         return without_idle_network(self)
 
 
 def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolicy:
-    """The same policy for a contract that begins in another mode: `layout` has the modes in
-    another order.
+    """The same policy for a contract that begins in another mode, for which `layout` has the modes
+    in another order.
 
     **Raises:** `ValueError` if anything else differs.
     """
@@ -164,7 +167,8 @@ def reordered(policy: UnitValuePolicy, layout: ContractLayout) -> UnitValuePolic
 
 
 def _gained(unit: Array, shares: list[Array], widths: Array) -> Array:
-    """The gain of the free volume; each of the segments of these widths takes its share."""
+    """The gain of the free volume if a share of each of its segments, with these widths, is
+    taken."""
     return sum(
         (widths[k] * share * (unit[k, 0] + share * (unit[k, 1] - unit[k, 0]) / 2)
          for k, share in enumerate(shares)),

@@ -14,9 +14,9 @@ class Step(NamedTuple):
     - `time`: years from the valuation date; `forward`: the forward price of the commodity.
     - `price`: the row of the price process; `ahead`: the shape of the curve.
     - `unit_values`, `surprise`: tables of the fitted value, if there is one.
-    - `auction`, `begins`, `scheduled_values`: only if flows are scheduled at auctions and the
-      differences are traded: the row of the auction's price process, whether an auction is at this
-      step, and the fitted value if flows never differ from the schedule.
+    - `auction`, `begins`, `scheduled_values`: the row of the price process of the auctions, whether
+      an auction is at this step, and the fitted value of a contract whose flows never differ from
+      the schedule. None if no schedules are fixed at auctions with trades of the differences.
     """
 
     time: Array
@@ -33,8 +33,8 @@ class Step(NamedTuple):
 
 
 class Constants(NamedTuple):
-    """`start`: the initial levels; `price`, `auction`: constants of the price processes;
-    scales of the features."""
+    """`start`: the initial levels; `price`, `auction`: the constants of the price processes; and
+    the scales of the features."""
 
     start: Float[Array, " levels"]
     price: PyTree
@@ -46,10 +46,11 @@ class Constants(NamedTuple):
 
 
 class State(NamedTuple):
-    """Levels at the start of a step, the weight of each mode (one of them 1), and the prices.
+    """The levels at the start of a step, the weight of each mode (1 for the present mode, otherwise
+    0), and the prices.
 
-    If flows are scheduled at auctions, `scheduled` are the levels at the start of the step as they
-    were scheduled, and `auction_price` is the state of the prices at the last auction.
+    If flows are scheduled at auctions, `scheduled` are the scheduled levels at the start of the
+    step, and `auction_price` is the state of the prices at the last auction.
     """
 
     levels: Float[Array, " levels"]

@@ -1,8 +1,9 @@
 """One path of any contract: prices, feasible volumes, cash.
 
-The action has a share for each volume that may flow (`ContractLayout.pairs`), of what is feasible
-beyond the forced volume, and, if there is a choice of moves, a weight for each of these. In
-training moves may be mixed: levels, modes and cash are then means over them.
+The action has a share for each volume that may flow (`ContractLayout.pairs`): the share of the
+feasible volume beyond the forced volume. If there is a choice of moves, it also has a weight for
+each of these moves. In training moves may be mixed: levels, modes and cash are then means over
+them.
 """
 
 from collections.abc import Mapping
@@ -53,13 +54,14 @@ class EnergySimulator(PricedSimulator):
 
     **Arguments:**
 
-    - `contract`, `process`: those of the case, after `formed`; `curve`, `rate`: the inputs of its
-      prices and rates, and where they are used.
-    - `paid`, `settled`: discount factors of every step, of payments for the commodity, and of
-      amounts paid on the day.
+    - `contract`, `process`: the contract and the price process of the case, after `formed`;
+      `curve`, `rate`: the inputs of its forward prices and interest rates, and where they are used.
+    - `paid`, `settled`: the discount factors of every step, for payments for the commodity, and for
+      amounts paid a day after the step.
     - `time` [T]: years from the valuation date; `first`: the first step in the calendar.
     - `unit_values`: the fitted value that the policy starts from; `surprises`: the control variate.
-    - `price_scale`, `volume_scale`: mean size of the forward price, and largest volume of a step.
+    - `price_scale`, `volume_scale`: the mean size of the forward price, and the largest volume of a
+      step.
     """
 
     contract: EnergyContract
@@ -80,12 +82,12 @@ class EnergySimulator(PricedSimulator):
 
     @classmethod
     def of(cls, case: Any) -> Self:
-        """The contract of a case, with the scales of its numbers."""
+        """The simulator of a case, with the scales of its numbers."""
         return cls.bare(case).scaled({x.name: x.values for x in case.numbers()})
 
     @classmethod
     def bare(cls, case: Any) -> Self:
-        """The contract of a case; all scales are 1."""
+        """The simulator of a case; all scales are 1."""
         layout, market = case.contract.layout, case.market
         return cls(  # pyright: ignore[reportCallIssue]
             formed(case.contract),
@@ -103,7 +105,7 @@ class EnergySimulator(PricedSimulator):
         )
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
-        """The simulator with the scales of features of these inputs."""
+        """The simulator with the scales of features for the values of these inputs."""
         # No volume depends on factors of discount.
         undiscounted: Any = np.ones(self.horizon)
         terms_of, at = with_numpy(self.contract.terms), partial(in_numpy, values)
@@ -160,7 +162,8 @@ class EnergySimulator(PricedSimulator):
         return replace(self, unit_values=None, surprises=None), self._completed
 
     def _completed(self, schedule: Schedule) -> Schedule:
-        """With the tables of the fitted value, which no input makes here."""
+        """The schedule with the tables of the fitted value added, which do not depend on inputs
+        here."""
         unit_values, surprises = self.unit_values, self.surprises
         steps = schedule.steps._replace(
             unit_values=None if unit_values is None else unit_values.steps,
@@ -182,7 +185,7 @@ class EnergySimulator(PricedSimulator):
         return StepPrices(spot, self.process.index(constants.price, now.price, state.price))
 
     def open_moves(self, now: Step, state: State, scale: Any) -> Float[Array, " moves"]:
-        """1 for each move to levels from which the contract can be met, else 0."""
+        """1 for each move to levels from which the contract can be met, otherwise 0."""
         if len(self.layout.every_move) == 1 or not self.layout.levels:
             return jnp.ones(len(self.layout.every_move))
         near, result = NEAR * scale, []
@@ -284,7 +287,8 @@ class EnergySimulator(PricedSimulator):
         return after, {name: weight * output for name, output in outputs.items()}
 
     def _weights(self, constants: Constants, now: Step, state: State, action) -> Array:
-        """[moves] the weight of each move: of its mode, times that of the action."""
+        """[moves] the weight of each move: the weight of its mode, times its weight in the
+        action."""
         layout = self.layout
         if len(layout.every_move) == 1:
             return jnp.ones(1)

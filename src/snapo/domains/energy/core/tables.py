@@ -1,8 +1,8 @@
 """Tables of a fitted value on one path: the value of one more unit, and the control variate.
 
 A value on a step is a sum of functions of the price factors (`functions`), whose coefficients lie
-on evenly spaced rows of the levels. The tables are data: a sensitivity moves the contract and the
-market, not them.
+on evenly spaced rows of the levels. The tables are data: a sensitivity changes the contract and the
+market, but not the tables.
 """
 
 from typing import Any, NamedTuple
@@ -26,13 +26,13 @@ class LevelRows(NamedTuple):
 class UnitValues(NamedTuple):
     """One step: the value of one more unit of each volume after the step, and of each move.
 
-    - `slopes` [pairs, rows …, n]: the slopes of one more unit along the flow from a row.
+    - `slopes` [pairs, rows …, n]: the value of one more unit along the flow from a row.
     - `moves` [moves, rows …, n]: the value of the mode and the levels in which a move ends,
       relative to the first move of its mode; None if there is no choice.
     - `units` [pairs, searches]: the volume of a row along each flow. The last profitable row is
-      determined in that number of searches. None if no volume spans more than one row.
-    - `between`: the same for levels between rows: the number of searches for the last profitable
-      piece between two rows of any level. `units` is then None.
+      determined in that number of searches. It is None if no volume spans more than one row.
+    - `between`: the same if levels lie between rows. The searches are then for the last profitable
+      piece between two rows of any level, and `units` is None.
     - `every` [pairs, rows]: the volume of a row, if the value jumps between levels; all of these
       rows are then compared, and `units` and `between` are None.
     """
@@ -46,8 +46,8 @@ class UnitValues(NamedTuple):
     every: Array | None = None
 
     def read(self, factors: Array) -> Array:
-        """[n] the functions of the factors: polynomials, hinges if the table has them, times
-        the exponential; the constant."""
+        """[n] the values of the functions of the factors: polynomials and, if the table has them,
+        hinges, each times the exponential; and the constant."""
         size, count = self.slopes.shape[-1], self.reading.whiten.shape[-2]
         plain = len(powers(count))
         at = hinges(count)
@@ -67,15 +67,16 @@ class UnitValueTable(eqx.Module):
 
 
 def nearest_row(table: Array, k: int, position: Array, dims: tuple[int, ...]) -> Array:
-    """The row of `table` [tables x rows …, n] at a position of whole numbers [levels] in table k.
+    """The row of table k in the array `table` [tables x rows …, n] at a position [levels] of whole
+    numbers.
 
-    All tables are read from one array: a slice of it would be copied for every step.
+    All tables are read from one array, because a slice of it would be copied for every step.
     """
     return table[row_number(k, position, dims)]
 
 
 def row_number(k: int, position: Array, dims: tuple[int, ...]) -> Array:
-    """The number of the nearest row to a position of whole numbers [levels] in table k."""
+    """The number of the row in table k that is nearest to a position [levels] of whole numbers."""
     place = jnp.full((), k, jnp.int32)
     for i, count in enumerate(dims):
         place = place * count + jnp.clip(position[i], 0, count - 1).astype(jnp.int32)
@@ -83,8 +84,8 @@ def row_number(k: int, position: Array, dims: tuple[int, ...]) -> Array:
 
 
 def along(position: Array, effects: tuple[float, ...], first: bool) -> Array:
-    """The row from which a flow starts, at or behind a position in its direction; for the last
-    unit, the row before it."""
+    """The row of the table for one unit of a flow: with `first`, for the unit that starts at a
+    position; otherwise for the last unit before the position."""
     ahead = jnp.asarray([1.0 if effect >= 0 else -1.0 for effect in effects])
     touched = jnp.asarray([1.0 if effect else 0.0 for effect in effects])
     directed = position * ahead
@@ -111,10 +112,7 @@ class Surprise(NamedTuple):
 
 
 class Surprises(eqx.Module):
-    """`steps`: a `Surprise` with a leading axis of steps; `first`: the value expected today.
-
-    `dims`: counts of the rows of each level.
-    """
+    """`steps`: a `Surprise` with a leading axis of steps; `first`: the value expected today."""
 
     steps: Any
     first: Any
@@ -123,8 +121,8 @@ class Surprises(eqx.Module):
 def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
     """The value at the start of a step minus its expectation for the start of the next one.
 
-    Summed over the steps, minus `first`, it is the total innovation. The value is 0 after
-    the last step.
+    The sum of these differences over the steps, minus `first`, is the total innovation. The value
+    is 0 after the last step.
     """
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
     size = row.now.coefficients.shape[-1]
@@ -134,7 +132,7 @@ def of_step(row: Surprise, factors: Array, before: Any, after: Any) -> Array:
 
 
 def at_end(first: Array) -> Array:
-    """The part of the sum at the end."""
+    """The part of this sum that is added at the end."""
     return -first
 
 

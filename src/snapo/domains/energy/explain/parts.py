@@ -2,7 +2,7 @@
 
 The steps between the two dates are those that the policy plans at forward prices.
 
-A contract supplies only the keys of a case that begins in a state (`EnergyContract.keys_at`).
+A contract supplies only the keys of a case that begins in another state (`EnergyContract.keys_at`).
 """
 
 import copy
@@ -52,7 +52,8 @@ ROUNDED = 9  # decimals of a planned level: a limit is not passed by rounding
 
 
 class PlannedSteps(NamedTuple):
-    """The state after the steps, by name, and their cash, discounted to the later date."""
+    """The state after the planned steps (levels by name, and the mode), and the cash of the steps,
+    discounted to the later date."""
 
     levels: dict[str, float]
     mode: str
@@ -71,7 +72,8 @@ class AtForwardPrices(EnergySimulator):
 def planned_steps(
     problem: Problem, policy: UnitValuePolicy, count: int, elapsed: int
 ) -> PlannedSteps:
-    """The first steps of a contract, one or more; `elapsed`: days to the later valuation date."""
+    """The planned first steps of a contract, one or more; `elapsed`: the days to the later
+    valuation date."""
     simulator = simulator_of(problem)
     numbers = {x.name: getattr(simulator, x.name) for x in fields(EnergySimulator)}
     numbers |= {name: _from_later(numbers[name], elapsed) for name in ("paid", "settled")}
@@ -100,7 +102,7 @@ def _named(layout: Any, levels: np.ndarray) -> dict[str, float]:
 
 
 def _from_later(discount: Discount, elapsed: int) -> Discount:
-    """To a later date; a payment before it counts in full."""
+    """Discount factors to a later date; a payment before that date counts in full."""
     return replace(discount, day=np.maximum(discount.day - elapsed, 0.0))
 
 
@@ -137,7 +139,7 @@ def explained_change(
     flows: Any = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `cash`: the actual cash of the days between.
+    """The parts of the change of value; `cash`: the actual cash flow between the two dates.
 
     **Raises:** `CaseError` if the second run cannot follow the first one.
     """
@@ -245,10 +247,10 @@ class _ContractChain(ChangeChain):
         return delivery_periods(case.days, case.products if spot else None)
 
     def _on_date(self, state: PlannedSteps, index: float | None) -> EnergyCase:
-        """The case of the first run on the valuation date of the second one, in this state.
+        """The case of the first run on the valuation date of the second run, in this state.
 
         Its prices, model, rates and terms are those of the first run, step by step; the settings of
-        training and evaluation are those of the second one.
+        training and evaluation are those of the second run.
         """
         first, other = self.first, self.second.case
         data: Any = copy.deepcopy(dict(first.data))
@@ -282,13 +284,14 @@ def curves_of(case: EnergyCase) -> dict[str, CaseInput]:
 
 
 def with_curves(case: EnergyCase, curves: dict[str, CaseInput]) -> EnergyCase:
-    """The case with other forward prices of these names."""
+    """The case in which the forward prices with these names are replaced."""
     market, model = (with_numbers(x, curves) for x in (case.market, case.model))
     return replace(case, market=market, model=model)
 
 
 def _like(curve: CaseInput, prices: np.ndarray) -> CaseInput:
-    """A record of prices [T], of the form of another one where its numbers suffice."""
+    """A record of prices [T]. It has the form of `curve` if the numbers of `curve` can represent
+    them; otherwise it has one number for each step."""
     values = np.array(curve.values, np.float64)
     values[curve.index] = prices
     if np.array_equal(values[curve.index], prices):
@@ -306,7 +309,7 @@ def _same_state(one: PlannedSteps, other: PlannedSteps) -> bool:
 def _policy(run: ValuedRun, setup: Setup) -> Policy:
     """The trained policy of a run.
 
-    **Raises:** `CaseError` if the run has none of the shape of `setup`.
+    **Raises:** `CaseError` if the run has no policy, or one that does not fit `setup`.
     """
     features, layout = setup.problem.features, run.case.contract.layout
     like = UnitValuePolicy(layout, features, key=jax.random.key(0))

@@ -1,1 +1,2 @@
-"""The methods of valuation: each reads levels, modes, moves and cash, and serves all contracts."""
+"""The methods of valuation; each uses only levels, modes, moves and cash, and therefore works for
+all contracts."""

@@ -1,4 +1,4 @@
-"""Nodes around levels between them, and their weights."""
+"""The nodes around levels between nodes, and their weights."""
 
 from collections.abc import Sequence
 
@@ -9,8 +9,9 @@ def corners(nodes, levels: np.ndarray, signs: Sequence[int]) -> tuple[np.ndarray
     """The numbers of the nodes [corners, points] around levels [points, levels], and the weights
     of these nodes.
 
-    Cells are cut into simplices along the flows, so that a function between nodes is linear along
-    every flow, and the best volumes lead to levels on nodes.
+    Cells are cut into simplices along the flows, so that an interpolated function is piecewise
+    linear along every flow, with kinks only where a level is on a node. The best volumes therefore
+    lead to levels on nodes.
     """
     ahead, count, sizes = np.array(signs), len(levels), [len(x) for x in nodes]
     if not sizes:

@@ -1,9 +1,9 @@
 """The fitted value: least squares of the value of the best move on functions of the price factors.
 
 Backwards in time, on nodes of the levels and quadrature nodes of the factors. The expectation of
-the functions a step later is known in closed form, so that only the fit is an approximation
-(Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12, 2001). From it come the tables of
-`value_tables.py` for the policy, and the penalty of the upper bound.
+the functions a step later has a closed form, so that only the fit is an approximation (Tsitsiklis
+and Van Roy, IEEE Transactions on Neural Networks 12, 2001). The tables of `value_tables.py` for the
+policy, and the penalty of the upper bound, are made from the fitted value.
 """
 
 import math
@@ -40,7 +40,7 @@ class FittedContract:
 
     @property
     def available(self) -> AnyRegression:
-        """The regression that gave it."""
+        """The regression with which the value was fitted."""
         return regression_of(self.basis)
 
 
@@ -81,14 +81,15 @@ def fit(
 
 
 def _room(shapes: list[tuple[int, ...]]) -> list[np.ndarray]:
-    """Arrays of these shapes in one: the system regains its memory, not that of many small ones."""
+    """Arrays of these shapes as parts of one large array: the memory of one large array returns to
+    the system, that of many small arrays often does not."""
     ends = np.cumsum([math.prod(shape) for shape in shapes])
     parts = np.split(np.empty(ends[-1]), ends[:-1])
     return [part.reshape(shape) for part, shape in zip(parts, shapes)]
 
 
 def _index(available: AnyRegression, factors: GaussianFactors, t: int) -> np.ndarray | None:
-    """[Q] the index on the nodes, whose last factor is its own."""
+    """[Q] the index on the nodes; the last factor of the nodes is that of the index."""
     if factors.index is None or not isinstance(available, Regression):
         return None
     return factors.index.at(factors, t, available.basis.back(t) @ available.y)

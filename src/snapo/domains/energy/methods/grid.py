@@ -2,10 +2,11 @@
 
 Values are linear between nodes. If flows, limits and starts have a common measure, nodes are its
 multiples, and all volumes that a best decision can take lead from node to node: values there are
-exact, neither raised nor lowered. A single level without a practical measure has its breakpoints as
-nodes: all levels to which extreme flows lead from the start and from the limits, forwards and
-backwards. Only if there are too many of these, nodes are evenly spaced and values between them
-linear (`exact` is false then: they are approximate, and no bound).
+exact, neither raised nor lowered. If a single level has no practical measure, its nodes are its
+breakpoints: all levels to which the largest and smallest flows lead from the start and from the
+limits, forwards and backwards. If there are too many breakpoints, the nodes are evenly spaced, and
+values between them are interpolated linearly. `exact` is then false: the values are approximate,
+and not a bound.
 """
 
 import math
@@ -33,11 +34,11 @@ NEAR = 1e-9  # of the largest volume: nearer levels are one
 
 
 class StepGrid(NamedTuple):
-    """One step: the passages of each move, and the nodes `before` and `after` the step, an array
-    for each level.
+    """One step: the passages of each move, and the nodes `before` and `after` the step, with an
+    array for each level.
 
-    - `end`: the changes at the end of the step; `ways`: the passages in the form for machine code,
-      or None.
+    - `end`: the changes at the end of the step; `ways`: the passages in the form that machine code
+      needs, or None.
     """
 
     passages: Passages
@@ -49,9 +50,9 @@ class StepGrid(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ContractGrid:
-    """All steps of a contract with NumPy numbers; in `layout` nothing moves an idle level.
+    """All steps of a contract with NumPy numbers. In `layout` nothing moves an idle level.
 
-    `exact`: see above.
+    `exact`: whether best decisions lead from node to node, see above.
     """
 
     layout: ContractLayout
@@ -61,7 +62,7 @@ class ContractGrid:
 
     @cached_property
     def nodes(self) -> list[tuple[np.ndarray, ...]]:
-        """[T + 1] at the start of each step, and after the last one."""
+        """[T + 1] the nodes at the start of each step, and after the last one."""
         return [step.before for step in self.steps] + [self.last]
 
     def size(self, t: int) -> int:
@@ -73,8 +74,7 @@ def grid_of(
     layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
 ) -> ContractGrid:
     """The grid of a schedule with NumPy leaves. `parts`: into how many parts the measure is
-    divided, for a finer grid. `apart` [levels]: a coarse grid is sufficient, with nodes at least
-    this far apart.
+    divided, for a finer grid. `apart` [levels]: the smallest distance of nodes, for a coarse grid.
     """
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)
@@ -100,7 +100,8 @@ def grid_of(
 
 
 def check_nodes(case: Any, schedule: Any) -> None:
-    """Refuses limits of moves and joint limits between coarse nodes; `schedule`: with NumPy leaves.
+    """Refuses limits of moves and joint limits that would lie between coarse nodes; `schedule`:
+    with NumPy leaves.
 
     **Raises:** `CaseError` if volumes have no common divisor with few enough nodes.
     """
@@ -123,7 +124,8 @@ def check_nodes(case: Any, schedule: Any) -> None:
 
 
 def _combinations(horizon: int) -> float:
-    """Combinations of levels of which all may be nodes, with so many steps."""
+    """The largest number of nodes, combinations of levels, that the methods allow with so many
+    steps."""
     return min(TOGETHER, 2 * LONG / max(horizon, 1))
 
 
@@ -166,7 +168,7 @@ def best(
 def _completed(step: StepGrid, value: np.ndarray) -> np.ndarray:
     """The value of the best move, minus the money of the levels at the start of the step.
 
-    With joint limits a node from which no move keeps the limits has the value of the worst node.
+    With joint limits, a node from which no move keeps the limits gets the value of the worst node.
     """
     if step.end.missed is not None and not (possible := np.isfinite(value)).all():
         worst = np.where(possible, value, np.inf).min(axis=(0, 1))
@@ -175,13 +177,15 @@ def _completed(step: StepGrid, value: np.ndarray) -> np.ndarray:
 
 
 def arrived(step: StepGrid, value: np.ndarray) -> np.ndarray:
-    """[modes, nodes after, columns] of the value at the start of the next step, after settling."""
+    """[modes, nodes after, columns] the value after the moves of a step, from the value at the
+    start of the next step; settling lies between the two."""
     result, money = step.end.settled(value), step.end.money
     return result if money is None else result + money[..., None]
 
 
 def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.ndarray | None, idle):
-    """Nodes at the start of each step [T + 1] and after each [T], by level; and whether exact."""
+    """The nodes of each level at the start of each step [T + 1] and after each step [T]; and
+    whether they are exact."""
     every, horizon = (start, terms.restarts, idle), len(terms.low)
     others = ~np.array(idle, bool)
     start, apart = start[others], None if apart is None else apart[others]
@@ -234,7 +238,8 @@ def _nodes(layout: ContractLayout, terms, found, start, parts: int, apart: np.nd
 
 
 def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
-    """The reachable feasible range [T + 1] of a level: today, then after each step, unsettled."""
+    """The range [T + 1] of a level that is reachable and feasible: today, and after each step
+    before settling."""
     horizon = len(terms.low)
     low, high = np.empty(horizon + 1), np.empty(horizon + 1)
     low[0] = high[0] = first = last = start[i]
@@ -247,9 +252,9 @@ def _visited(layout, terms, found, start, i) -> tuple[np.ndarray, np.ndarray]:
 
 
 def _origin(layout: ContractLayout, terms, i: int) -> float:
-    """A point of evenly spaced nodes: the limit of a level that only rises, if it has one, since
-    the value bends wherever whole volumes lead to that limit; else zero, as where another limit
-    falls at multiples."""
+    """A point of evenly spaced nodes: the limit of a level that only rises, if the limit is
+    constant, since the value bends at all levels from which whole volumes lead to that limit.
+    Otherwise it is zero, and also if another limit falls at multiples."""
     if terms.falling is not None:
         return 0.0
     limit, effects = terms.high[:, i], [flow.effects[i] for flow in layout.flows]
@@ -258,7 +263,8 @@ def _origin(layout: ContractLayout, terms, i: int) -> float:
 
 
 def _regular(low, high, width: float, restarts, origin: float | None = None):
-    """Multiples of the width; with an origin those from there on, and both ends."""
+    """Nodes at multiples of the width; with an `origin`, nodes at multiples counted from it, and at
+    both ends."""
     zero = origin or 0.0
 
     def nodes(a: float, b: float) -> np.ndarray:
@@ -278,9 +284,10 @@ def _settled(after: list[np.ndarray], restarts) -> list[np.ndarray]:
 
 
 def _breakpoints(layout: ContractLayout, terms, start, i: int, low, high):
-    """All levels to which extreme flows lead; None if they are too many.
+    """All levels to which the largest and smallest flows lead; None if there are too many.
 
-    The nodes of a step are led to those of the next one and back until none is missing.
+    The nodes of each step are moved to the next step and back until no new node appears, at most
+    three times.
     """
     horizon, restarts = len(terms.low), terms.restarts[:, i]
     near = NEAR * max(1.0, float(np.max(np.abs(terms.most), initial=0.0)))

@@ -1,9 +1,9 @@
 """The upper bound: the best moves on each path with perfect foresight, minus a penalty.
 
-The penalty of ending a step in a mode and at levels is the innovation of the fitted value there,
-V(next prices) - E[V(next prices)], which has mean zero for decisions without foresight. The bound
-is valid for any V; see `snapo.solver.bound`. V is linear between nodes. If all volumes of best
-decisions lead from node to node (`ContractGrid.exact`), so do the best penalised moves.
+The penalty for ending a step in a mode and at certain levels is the innovation of the fitted value
+there, V(next prices) - E[V(next prices)], which has mean zero for decisions without foresight. The
+bound is valid for any V; see `snapo.solver.bound`. V is linear between nodes. If all volumes of
+best decisions lead from node to node (`ContractGrid.exact`), the best penalised moves do so too.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -68,7 +68,8 @@ class EnergyRelaxation:
         return charge + np.asarray(rollout.totals.get(GAIN, 0.0), float)
 
     def charged_along(self, rollout, levels, mode, scale: np.ndarray) -> np.ndarray:
-        """[N] penalties at these prices of other levels [T + 1, N, levels] and modes [T + 1, N]."""
+        """[N] penalties on the prices of a rollout, for other levels [T + 1, N, levels] and modes
+        [T + 1, N]."""
         prices = self._path(rollout.record["state"].price, rollout.state.price)
         innovations, total = self._innovations(prices, scale), np.zeros(levels.shape[1])
         if innovations is None or self.fitted is None:
@@ -110,7 +111,7 @@ class EnergyRelaxation:
         return jax.tree.map(lambda a, b: np.concatenate([a, np.asarray(b)[None]]), days, end)
 
     def _spots(self, states) -> np.ndarray:
-        """[T, N]"""
+        """[T, N] the spot prices."""
         count = len(self.grid.steps)
         rows = jax.tree.map(lambda leaf: leaf[:count], (self.prices.steps, states))
         with jax.enable_x64(True):
@@ -119,7 +120,7 @@ class EnergyRelaxation:
         return np.asarray(spots)
 
     def _index(self, states) -> np.ndarray | None:
-        """[T, N] if there is one."""
+        """[T, N] the index, if there is one."""
         if self.factors is None or self.factors.index is None:
             return None
         of, factors = self.factors, self._factors(states)

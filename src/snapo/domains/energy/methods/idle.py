@@ -1,6 +1,7 @@
 """Idle levels: levels whose limits no plan can reach, so that nothing depends on them.
 
-They have one node. With a node for each volume, the grids of other levels would be coarser.
+Idle levels have one node. If they had a node for each volume, the grids of other levels would be
+coarser.
 """
 
 from typing import Any
@@ -15,7 +16,7 @@ NEAR = 1e-9  # of the largest volume
 def idle_levels(
     layout: ContractLayout, terms: StepTerms, intervals: Any, start: np.ndarray
 ) -> tuple[bool, ...]:
-    """[levels] whether a level is idle; none is if levels have money or joint obligations."""
+    """[levels] whether a level is idle; no level is if levels have money or joint obligations."""
     if layout.banks or terms.promises is not None or terms.of_levels is not None:
         return (False,) * len(layout.levels)
     numbers, count = (layout, terms, intervals), len(layout.levels)
@@ -44,12 +45,12 @@ def _idle(layout: ContractLayout, terms: StepTerms, intervals: Any, start: float
 
 
 def at_rest(layout: ContractLayout, idle: tuple[bool, ...]) -> ContractLayout:
-    """The layout in which nothing moves these levels."""
+    """The layout in which no flow and no move changes these levels."""
     return _with_numbers(layout, lambda x: tuple(0.0 if y else z for y, z in zip(idle, x)))
 
 
 def without(layout: ContractLayout, terms: StepTerms, intervals: Any, idle: tuple[bool, ...]):
-    """Layout, terms and intervals of the other levels."""
+    """The layout, terms and intervals without the idle levels."""
     keep = np.flatnonzero(~np.array(idle, bool))
 
     def of(numbers: Any) -> Any:
@@ -65,7 +66,7 @@ def without(layout: ContractLayout, terms: StepTerms, intervals: Any, idle: tupl
 
 
 def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tuple[bool, ...]):
-    """Nodes of all levels, by level at the start of each step [T + 1] and after each [T]."""
+    """The nodes of all levels, at the start of each step [T + 1] and after each step [T]."""
     others, result = iter(columns), []
     for i, rests in enumerate(idle):
         if not rests:
@@ -78,7 +79,7 @@ def with_idle(columns: list, start: np.ndarray, restarts: np.ndarray, idle: tupl
 
 
 def extremes(layout: ContractLayout, terms: Any, t: int, i: int) -> np.ndarray:
-    """The changes of a level in a step, at the ends of each flow."""
+    """The changes of a level in a step, for the smallest and the largest volume of each flow."""
     result: set[float] = set()
     for move in layout.every_move:
         if all(terms.least[t, flow] <= 0 for flow in move.flows):

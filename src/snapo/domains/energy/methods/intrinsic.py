@@ -1,7 +1,9 @@
-"""The value at forward prices: on the nodes if these are exact, otherwise by a linear program.
+"""The value at forward prices: on the nodes if these are exact, otherwise by a linear program if
+possible.
 
-Between coarse nodes a value is too low by 0.1 to 9 %. With one move, no money of levels and no
-joint obligations, a linear program gives the best volumes at known prices, without nodes.
+With coarse nodes the value would be too low by 0.1 to 9 %. For a contract with one move, no money
+of levels and no joint obligations, a linear program gives the best volumes at fixed prices without
+nodes.
 """
 
 from typing import Any
@@ -22,8 +24,8 @@ def intrinsic_value(layout: ContractLayout, schedule: Any) -> float:
 
 
 def _is_linear(layout: ContractLayout, schedule: Any) -> bool:
-    """Whether volumes at forward prices are a linear program whose optimum is a plan: it never
-    gains by two opposite flows in one step, which there is no move for."""
+    """Whether the best volumes at forward prices solve a linear program. Its optimum must be a
+    plan: two opposite flows in one step, for which there is no move, must never earn more."""
     terms: StepTerms = schedule.steps.terms
     joint = terms.promises is not None or terms.of_levels is not None
     joint = joint or terms.falling is not None
@@ -45,7 +47,8 @@ def _units(schedule: Any) -> np.ndarray:
 
 
 def _best_plan(layout: ContractLayout, schedule: Any) -> float:
-    """Variables are the flows of each step, the levels after it, and the units missed."""
+    """The best plan. The variables are the flows of each step, the levels after it, and the units
+    missed."""
     from scipy import sparse  # late: it takes a while to load
     from scipy.optimize import linprog
 

@@ -1,9 +1,9 @@
 """The exact value: dynamic programming in the levels, modes and one or two price factors.
 
-With a month-ahead index the nodes are those of the spot price's factor f and of the index's g.
-Within a month g is constant: a step is the transition of f at each node of g. At the start of a
-month g becomes f of the day before, so that the value there is read at g = f, by a cubic spline
-between nodes of g, and no longer depends on the old g.
+With a month-ahead index, nodes are pairs of a node of f, the factor of the spot price, and a node
+of g, the factor of the index. Within a month g is constant: a step is the transition of f at each
+node of g. At the start of a month g becomes f of the day before. The value on that date is
+therefore read at g = f, by a cubic spline between nodes of g, and does not depend on the old g.
 """
 
 from collections.abc import Callable
@@ -32,9 +32,9 @@ TODAY = 15  # Gauss-Hermite nodes of g on the first date
 
 
 class IndexTransition(NamedTuple):
-    """The transition from the nodes of a date to those of the next date. `fast` [from, to]:
-    weights of f; `read` [from, to]: weights of g' = f, where g is renewed; `nodes`: the number of
-    nodes of g on the first date."""
+    """The transition from the nodes of a date to those of the next date. `fast` [from, to]: weights
+    of f; `read` [from, to]: weights of the new g = f, None if g is not renewed; `nodes`: the number
+    of nodes of g on the first date."""
 
     fast: np.ndarray
     read: np.ndarray | None
@@ -57,13 +57,14 @@ class FirstDate(NamedTuple):
     weights: np.ndarray
 
     def expect(self, value: np.ndarray) -> np.ndarray:
-        """[n, g x f] -> [n, 1]"""
+        """The expectation: [n, g x f] -> [n, 1]."""
         return value @ self.weights[:, None]
 
 
 @dataclass(frozen=True, eq=False)
 class IndexGrid:
-    """Nodes: columns of a date run over g x f. `fast`: the nodes of f; `slow`: how many of g."""
+    """The nodes; the columns of a date run over g x f. `fast`: the nodes of f; `slow`: the number
+    of nodes of g."""
 
     of: GaussianFactors
     fast: FactorGrid
@@ -71,7 +72,8 @@ class IndexGrid:
 
     @classmethod
     def made(cls, of: GaussianFactors, spacing: float, slow: int) -> "IndexGrid":
-        """`spacing` of f, in deviations of the shock of a step."""
+        """The grid; `spacing`: the distance of the nodes of f, in standard deviations of the shock
+        of a step."""
         return cls(of, factor_grid(of._replace(index=None), (0,), spacing, 1), slow)
 
     @cached_property
@@ -79,7 +81,7 @@ class IndexGrid:
         return np.sqrt(self.of.covariance[:, 1, 1])
 
     def index_nodes(self, t: int) -> np.ndarray:
-        """The nodes of g on a date: one if it is fixed today."""
+        """The nodes of g on a date; one node if g is fixed today."""
         deviation = self._deviations[t]
         if deviation <= 1e-12:
             return np.zeros(1)
@@ -90,7 +92,7 @@ class IndexGrid:
         return len(self.index_nodes(t)) * len(self.fast.fast)
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
-        """[columns] spot prices of mean `forward`."""
+        """[columns] the spot prices, with the mean `forward`."""
         return np.tile(self.fast.spot(t, forward), len(self.index_nodes(t)))
 
     def index(self, t: int) -> np.ndarray:
@@ -105,7 +107,7 @@ class IndexGrid:
         return IndexTransition(fast, _read(self.index_nodes(t + 1), self.fast.fast), len(nodes))
 
     def start(self) -> FirstDate:
-        """The transition from the valuation date, where all factors are 0, to the first date."""
+        """The transition from the valuation date, on which all factors are 0, to the first date."""
         (deviation, _), (below, rest) = self.of.shock[0]
         variance = below**2 + rest**2
         shocks, probabilities = gauss_hermite(np.sqrt(variance), TODAY)
@@ -121,7 +123,8 @@ class IndexGrid:
 
 
 class PairTransition(NamedTuple):
-    """A `Transition` of two factors in small products, which OpenBLAS computes on one thread."""
+    """A `Transition` of two factors, split into small matrix products, which OpenBLAS computes on
+    one thread."""
 
     of: Transition
 
@@ -138,8 +141,9 @@ class PairTransition(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class PairGrid:
-    """Nodes of two correlated factors, that of the spot price and that of a second commodity.
-    Columns are all pairs of a node of the second commodity and a node of the spot price.
+    """Nodes of two correlated factors: the factor of the spot price and the factor of the price of
+    a second commodity. Columns are all pairs of a node of the second commodity and a node of the
+    spot price.
     """
 
     of: GaussianFactors
@@ -147,16 +151,16 @@ class PairGrid:
 
     @classmethod
     def made(cls, of: GaussianFactors, spacing: float, slow: int) -> "PairGrid":
-        """`spacing` of the spot price's nodes, in deviations of the shock of a step; `slow`: the
-        number of nodes of the second."""
+        """The grid; `spacing`: the distance of the nodes of the spot price, in standard deviations
+        of the shock of a step; `slow`: the number of nodes of the second factor."""
         return cls(of, factor_grid(of._replace(index=None), (0, 1), spacing, slow))
 
     def columns(self, t: int) -> int:
-        """Their number."""
+        """The number of nodes."""
         return self.both.columns
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
-        """[columns] spot prices of mean `forward`."""
+        """[columns] the spot prices, with the mean `forward`."""
         return self.both.spot(t, forward)
 
     def index(self, t: int) -> np.ndarray:
@@ -168,7 +172,8 @@ class PairGrid:
         return PairTransition(self.both.after(t))
 
     def start(self) -> PairTransition:
-        """The transition from the valuation date, if both factors are 0, to the first date."""
+        """The transition from the valuation date, on which both factors are 0, to the first
+        date."""
         return PairTransition(self.both.start())
 
 
@@ -200,8 +205,8 @@ def lattice(
     grid: ContractGrid | None = None,
 ) -> Lattice:
     """The value of a schedule with NumPy leaves; without `factors`, the value at forward prices.
-    `parts`: into how many parts the measure of the levels is divided; `finer`, `slow`: how many
-    nodes the price factors have.
+    `parts`: into how many parts the measure of the levels is divided; `finer`: by how much the
+    spacing of the price nodes is divided; `slow`: the number of nodes of the slow factor.
     """
     grid = grid_of(layout, schedule, parts) if grid is None else grid
     terms, horizon = schedule.steps.terms, len(schedule.steps.forward)
@@ -247,8 +252,8 @@ def _factor_grid(
 
 
 def refined(layout: ContractLayout, schedule: Any, factors: GaussianFactors | None) -> Refined:
-    """The value; the spacing of each grid is halved until the value changes by less than 0.001 %,
-    or 0.005 % with two commodities."""
+    """The value and its error; the spacing of each grid is halved until the value changes by less
+    than 0.001 %, or by less than 0.005 % with two commodities."""
     index = None if factors is None else factors.index
     slow, enough = (SLOW, ENOUGH) if index is None or index.renewed else PAIR
     of_levels = partial(lattice, layout, schedule, factors, slow=slow)

@@ -1,6 +1,5 @@
-"""The common measure of the volumes of a contract: the largest of which all are multiples.
-
-Also the spacing of nodes if that measure is too small.
+"""The common measure of the volumes of a contract, and the spacing of nodes if that measure is too
+small. The common measure is the largest number of which all volumes are multiples.
 """
 
 from collections.abc import Iterable
@@ -18,7 +17,8 @@ DIGITS = 10**7  # largest denominator of a volume that counts as a fraction
 
 
 def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
-    """The common divisor of all volumes of a level; the same for levels of one flow."""
+    """The common divisor of all volumes of each level; levels that a flow joins have the same
+    divisor."""
     result: list[float | None] = [None] * len(layout.levels)
     for group in joined_levels(layout):
         volumes: set[float] = set()
@@ -41,7 +41,7 @@ def measures_of(layout: ContractLayout, terms, start) -> list[float | None]:
 
 
 def joined_levels(layout: ContractLayout) -> list[set[int]]:
-    """The levels in groups that no flow joins."""
+    """The levels in groups; no flow moves levels of two groups."""
     groups = [{i} for i in range(len(layout.levels))]
     if layout.banks:  # units of the first level become its balances
         counted = len(layout.levels) - layout.banks
@@ -55,10 +55,10 @@ def joined_levels(layout: ContractLayout) -> list[set[int]]:
 
 
 def node_widths(layout: ContractLayout, widest, measures, apart, nodes: float) -> list[float]:
-    """The spacing with which there are at most so many evenly spaced nodes; a multiple of the
-    common measure, if there is one. Levels that share flows have the same spacing, so that a flow
-    goes from node to node in all of them; between nodes the value would be interpolated. `apart`:
-    the smallest spacing of each level."""
+    """The spacing of the levels with which there are at most `nodes` evenly spaced nodes; a
+    multiple of the common measure, if there is one. Levels that share flows have the same spacing,
+    so that a flow goes from node to node in all of them; between nodes the value would be
+    interpolated. `apart`: the smallest spacing of each level."""
     widths = [1.0] * len(widest)
     for group in joined_levels(layout):
         members = sorted(group)
@@ -79,8 +79,8 @@ def banked_widths(visited, measures, apart, nodes: float) -> list[float]:
     """The spacing of a counted level and its balances, if they have too many nodes together.
 
     Flows move only the counted level, so its nodes are multiples of the measure if there are few
-    enough of them. Balances change once a period, and have as many nodes as `nodes` of all steps
-    allow. `visited`: the minimum and maximum of all levels at all steps.
+    enough of them. Balances change once a period; they have as many nodes as `nodes`, the total of
+    all steps, allows. `visited`: the minimum and maximum of all levels at all steps.
     """
     unit = measures[0] or 0.0
     widest = [float(np.max(high - low)) for low, high in visited]
@@ -105,7 +105,8 @@ def _times(counts: list[float], nodes: float) -> float:
 
 
 def common_measure(volumes: Iterable[float]) -> float | None:
-    """The largest number of which all are multiples; None if they are not simple fractions."""
+    """The largest number of which all volumes are multiples; None if they are not simple
+    fractions."""
     sizes = [abs(x) for x in volumes if x]
     fractions = [Fraction(x).limit_denominator(DIGITS) for x in sizes]
     if not sizes:

@@ -1,4 +1,5 @@
-"""Passages from the nodes of one step to those of the next: a volume of a move from each node."""
+"""Passages from the nodes of one step to the nodes of the next step: volumes of a move from each
+node."""
 
 from itertools import product
 from typing import Any, NamedTuple
@@ -16,8 +17,8 @@ class Passage(NamedTuple):
     - `rows`, `goals`: the nodes where it begins and ends, two blocks of the same shape, each a
       slice of every level.
     - `weights` [corners, rows, 1]: the weights of the nodes around the end, if the end is not a
-      node. `rows` are then numbers of nodes, and `goals` [corners, rows] the numbers of the nodes
-      around each end.
+      node. `rows` are then the numbers of the nodes at the beginning, and `goals` [corners, rows]
+      the numbers of the nodes around each end.
     """
 
     flow: int
@@ -31,7 +32,7 @@ Passages = tuple[tuple[Passage, ...], ...]  # of a step, by move
 
 
 def passages_of(layout: ContractLayout, terms, t: int, before, after, near: float) -> Passages:
-    """The passages of step t between the nodes `before` and `after` it."""
+    """The passages of step t from the nodes `before` it to the nodes `after` it."""
     signs, result = layout.signs, []
     free = (np.full(len(before), -np.inf), np.full(len(before), np.inf))
     for m, move in enumerate(layout.every_move):
@@ -61,7 +62,8 @@ def passages_of(layout: ContractLayout, terms, t: int, before, after, near: floa
 
 
 def _by_falls(terms, t: int, limits, change, before, near: float) -> list:
-    """The limits of a volume, one for each number of falls of a limit that binds it."""
+    """The limits of a volume, one pair for each number of falls that the falling limit may have
+    had."""
     if terms.falling is None or change[0] <= 0:
         return [limits]
     falling, result = FallingLimit(*(x[t] for x in terms.falling)), []
@@ -78,7 +80,8 @@ def _by_falls(terms, t: int, limits, change, before, near: float) -> list:
 
 
 def _possible(effects, changes, ends, before, after, near: float) -> list[float]:
-    """The volumes to try: both ends, and those that lead from a node to a node of a level."""
+    """The volumes to try: the two ends of the interval, and the volumes between them that lead from
+    a node of a level to a node of the same level."""
     volumes = list(ends)
     for i in np.flatnonzero(effects):
         every = ((after[i][None, :] - before[i][:, None] - changes[i]) / effects[i]).ravel()
@@ -89,9 +92,10 @@ def _possible(effects, changes, ends, before, after, near: float) -> list[float]
 
 
 def _moved(flow: int, volume: float, change, pinned, before, after, limits, signs, near: float):
-    """The passages of one volume: from the nodes that it moves to a node, and from others that it
-    moves between nodes; of these only such that get on a node of a `pinned` level, if there is one,
-    since values are linear between them. All end between the `limits` [2][levels] of the move."""
+    """The passages of one volume: from nodes that it moves to a node, and from nodes that it moves
+    to a point between nodes. If there are `pinned` levels, the latter are used only if they end on
+    a node of such a level, since values are linear between nodes. All passages end between the
+    `limits` [2][levels] of the move."""
     if not before:
         return [Passage(flow, volume, (), ())]
     goals, positions, on, inside = [], [], [], []
@@ -125,7 +129,7 @@ def _moved(flow: int, volume: float, change, pinned, before, after, limits, sign
 
 
 def _runs(rows: np.ndarray, positions: np.ndarray) -> list[tuple[slice, slice]]:
-    """Rows and their positions, cut where one of both does not go on by one."""
+    """Blocks of rows and of their positions, in which both rise by one."""
     if not len(rows):
         return []
     there = positions[rows]

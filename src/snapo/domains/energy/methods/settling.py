@@ -1,4 +1,5 @@
-"""The end of a step on a grid: money of the levels, restarts, the new balance of a bank."""
+"""The end of a step on a grid: the money of the levels, their restarts, and the new balances of a
+bank."""
 
 import math
 from functools import partial
@@ -18,9 +19,9 @@ class Settling(NamedTuple):
 
     - `arrive`: for each node after the step, the number of its node of the next step; `lost`: the
       amount lost at the node.
-    - `corners`: the nodes and their weights, if balances lie between nodes.
-    - `held`: the amounts that the levels, and the units made up so far, have earned at the nodes
-      before and after a step; the step earns the change. None if the levels earn nothing.
+    - `corners`: the nodes around the new levels and their weights, if balances lie between nodes.
+    - `held`: the amounts that the levels and the units made up have earned so far, at the nodes
+      before and after the step; the step earns the difference. None if the levels earn nothing.
     - `missed` [modes, nodes after]: the charge for violated joint limits; None without limits.
     """
 
@@ -31,7 +32,8 @@ class Settling(NamedTuple):
     missed: np.ndarray | None = None
 
     def settled(self, value: np.ndarray) -> np.ndarray:
-        """[modes, nodes after, …] after settling, from [modes, nodes of the next step, …]."""
+        """The values [modes, nodes after, …] before settling, from those [modes, nodes of the next
+        step, …] after it."""
         if self.corners is None:
             return value[:, self.arrive]
         parts = [weight[:, None] * value[:, nodes] for nodes, weight in self.corners]
@@ -39,8 +41,8 @@ class Settling(NamedTuple):
 
     @property
     def money(self) -> np.ndarray | None:
-        """[nodes after], or [modes, nodes after] with joint limits: the earnings of levels,
-        settling and units made up; None if there are none."""
+        """[nodes after], or [modes, nodes after] with joint limits: the earnings of the levels, of
+        settling and of units made up; None if there are none."""
         lost = self.lost if self.missed is None else self.lost + self.missed
         if self.held is not None:
             return self.held[1] - lost
@@ -50,7 +52,8 @@ class Settling(NamedTuple):
 def settling(
     layout: ContractLayout, terms: StepTerms, t: int, before, after, following
 ) -> Settling:
-    """The end of step t from nodes `after` it to those of the `following` one."""
+    """The end of step t: from the nodes `after` its moves to the nodes at the start of the
+    `following` step."""
     arrivals, lost = [], np.zeros(1)
     for i, points in enumerate(after):
         restarts = bool(terms.restarts[t, i])
@@ -94,7 +97,8 @@ def _missed(terms: StepTerms, t: int, after) -> np.ndarray | None:
 
 
 def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarray] | None:
-    """Money of the nodes before and after step t; None if levels have none."""
+    """The money of the levels and units made up at the nodes before and after step t; None if they
+    have no money."""
     result = [np.zeros(1), np.zeros(1)]
     if terms.bank is not None:
         bank = terms.bank.at(t)
@@ -110,7 +114,7 @@ def _held(terms: StepTerms, t: int, before, after) -> tuple[np.ndarray, np.ndarr
 
 
 def ranges_of_balances(terms: StepTerms, start: np.ndarray, low: np.ndarray, high: np.ndarray):
-    """For each balance, the lowest and the highest number at the start of each step, [T + 1].
+    """The smallest and the largest value of each balance at the start of each step, [T + 1].
 
     `start` [balances]: the balances at the start; `low`, `high` [T + 1]: the range of the counted
     level, at the start and after each step.

@@ -1,7 +1,8 @@
-"""Tables of the fitted value on a path: the value of a unit of each volume, and control variate.
+"""Tables of the fitted value for one path: the value of a unit of each volume, and the control
+variate.
 
-They are filled while the value is fitted, step by step from the end: only the coefficients of two
-steps are in memory. All coefficients of an hourly year would take 0.5 GB.
+They are filled while the value is fitted, step by step from the end, so that only the coefficients
+of two steps are in memory. All coefficients of an hourly year would take 0.5 GB.
 """
 
 import math
@@ -25,7 +26,8 @@ SURPRISES = {0: 1, 1: 25, 2: 7, 3: 4}  # rows of a level for the control variate
 
 
 class ValueTables(NamedTuple):
-    """Unit values, from which a policy starts; and the control variate, None with other risks."""
+    """The unit values from which a policy starts; and the control variate, None if prices have
+    risks other than the factors of the fit."""
 
     unit_values: UnitValueTable
     surprises: Surprises | None
@@ -42,8 +44,8 @@ def value_tables(
     """The tables of the fitted value of a schedule with NumPy leaves and at least one step.
 
     If the best volumes lie on rows, a policy searches for the last profitable row, otherwise for
-    the last piece between rows; if the value jumps, it compares all rows. `like`: a table; the
-    policy searches in the same way as with it, whatever the grid.
+    the last piece between rows; if the value jumps, it compares all rows. `like`: a table of other
+    inputs; the policy searches in the same way as with that table, on any grid.
     """
     terms, search = schedule.steps.terms, "units" if grid.exact else "between"
     if terms.jumps:
@@ -87,7 +89,7 @@ class _UnitRows:
         self.flow_moves = [layout.every_move[m] for m, _ in layout.pairs]
 
     def add(self, t: int, later: np.ndarray) -> None:
-        """A step, from the coefficients at the start of the next one."""
+        """Adds a step, from the coefficients at the start of the next step."""
         layout, step = self.layout, self.grid.steps[t]
         after = self._after(t, later)
         key = tuple(x.tobytes() for x in step.after)
@@ -119,8 +121,8 @@ class _UnitRows:
 
     def _units(self) -> np.ndarray | None:
         """[T, pairs, searches, or rows where all are compared] the volume of a row along each flow.
-        None if no volume is longer, or where the rows of levels that a flow joins are of different
-        volumes."""
+        None if no volume spans more than one row, or if the rows of levels that a flow joins have
+        different volumes."""
         result = np.ones((len(self.low), len(self.layout.pairs)))
         longest, crossings = 0.0, 0
         for k, (_, f) in enumerate(self.layout.pairs):
@@ -146,8 +148,9 @@ class _UnitRows:
     def _after(self, t: int, later: np.ndarray) -> np.ndarray:
         """[modes, nodes after, n] coefficients after a step, as expected before the next one.
 
-        If there is a choice of moves, with the hinges: polynomials without them lose 0.5 to
-        0.8 % of a few rights. For volumes they gain nothing, and take three times as long.
+        If there is a choice of moves, the functions include the hinges: with polynomials only, a
+        contract with few rights would lose 0.5 to 0.8 % of its value. For volumes the hinges gain
+        nothing, and take three times as long.
         """
         end, available, constant = self.grid.steps[t].end, self.available, self.basis.constant
         if self.layout.moves and isinstance(available, Regression):
@@ -162,7 +165,8 @@ class _UnitRows:
 
 
 class _SurpriseRows:
-    """The control variate: the value on a few rows, and its expectation a step before."""
+    """The control variate: the value on a few rows, and the expectation of the value a step
+    before."""
 
     def __init__(self, layout: ContractLayout, basis: AnyBasis, grid: ContractGrid):
         self.basis, self.grid, self.available = basis, grid, regression_of(basis)
@@ -172,7 +176,7 @@ class _SurpriseRows:
         self.by_nodes: dict[tuple, sparse.csr_array] = {}
 
     def add(self, t: int, coefficients: np.ndarray) -> None:
-        """A date, from its coefficients."""
+        """Adds a date, from its coefficients."""
         nodes = self.grid.nodes[t]
         for i, (x, count) in enumerate(zip(nodes, self.counts)):
             self.low[t, i], self.spacing[t, i] = x[0], (x[-1] - x[0]) / (count - 1)
@@ -210,7 +214,8 @@ def _row_counts(layout: ContractLayout, grid: ContractGrid) -> tuple[int, ...]:
 
 
 def _rows(step: StepGrid, counts) -> tuple[np.ndarray, np.ndarray]:
-    """`low` and `spacing` of the rows of each level: on its nodes where these are few enough."""
+    """`low` and `spacing` of the rows of each level; the rows are its nodes if there are few enough
+    of these."""
     low, spacing = np.zeros(len(counts)), np.zeros(len(counts))
     for i, (nodes, count) in enumerate(zip(step.after, counts)):
         low[i], spacing[i] = _lattice(nodes)
@@ -227,8 +232,9 @@ def _numbers(counts: tuple[int, ...]) -> np.ndarray:
 
 
 def _lattice(nodes: np.ndarray) -> tuple[float, float]:
-    """The nodes are evenly spaced points: the first point at or before them, and
-    their spacing; the first and the last node may lie nearer. Of other nodes the finest spacing."""
+    """The first point and the spacing of evenly spaced points that contain the nodes; the first and
+    the last node may be nearer to their neighbours. For other nodes, the first node and the finest
+    spacing."""
     if len(nodes) < 2:
         return float(nodes[0]), 0.0
     gaps = np.diff(nodes)
@@ -243,8 +249,9 @@ def _lattice(nodes: np.ndarray) -> tuple[float, float]:
 
 
 class _StepWeights(NamedTuple):
-    """Low and spacing of the rows of a step; of the values of the nodes after it, [rows, nodes]
-    each: in the slope of each pair of a move and a flow, and in the value after each move."""
+    """`rows`: low and spacing of the rows of a step. `slopes`, `moves`: the weights [rows, nodes]
+    of the values at the nodes after the step, in the slope of each pair of a move and a flow, and
+    in the value after each move."""
 
     rows: tuple[np.ndarray, np.ndarray]
     slopes: list[sparse.csr_array]
@@ -262,7 +269,8 @@ def _step_weights(
 
 
 def _slope(layout: ContractLayout, step: StepGrid, rows, spacing, f: int) -> sparse.csr_array:
-    """The weights of the change of the value by one more unit along a flow from each row."""
+    """The weights of the nodes in the change of the value by one more unit along a flow, from each
+    row."""
     effects = np.array(layout.flows[f].effects)
     touched = np.flatnonzero((effects != 0) & (spacing > 0)) if len(effects) else []
     if not len(touched):
@@ -292,8 +300,9 @@ def _slope(layout: ContractLayout, step: StepGrid, rows, spacing, f: int) -> spa
 
 
 def _inside(rows: np.ndarray, change: np.ndarray, low, high) -> tuple[np.ndarray, np.ndarray]:
-    """[n] the first and the last share of a change of the levels from these rows that lies between
-    the limits; the last is below the first where none does."""
+    """[n] the interval of shares of a change of the levels, from each of these rows, for which the
+    levels lie between the limits. If there is no such share, the end of the interval is below its
+    start."""
     start, end = np.zeros(len(rows)), np.ones(len(rows))
     for x, step, lower, upper in zip(rows.T, change, low, high):
         if step:

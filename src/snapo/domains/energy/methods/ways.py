@@ -1,8 +1,9 @@
-"""The best move and volume from each node in machine code, with the same bits as NumPy's loop.
+"""The best move and volume from each node, in machine code with the same bits as a loop in NumPy.
 
-A way is a volume of a move from one node: money of the move, plus the volume times the earnings of
-a unit, plus the value where it ends, a weighted sum of nodes. The code treats some columns at a
-time, so that their values stay in the fastest cache, and the best values so far in registers.
+A way is one volume of a move from one node. Its value is the money of the move, plus the volume
+times the earnings of a unit, plus the value at its end, a weighted sum of the values at nodes. The
+code works on a few columns at a time, so that their values stay in the fastest cache and the best
+values so far in registers.
 """
 
 from collections.abc import Callable
@@ -39,7 +40,7 @@ class Ways(NamedTuple):
     weight: np.ndarray
 
     def best(self, cash: np.ndarray, fixed: np.ndarray, after: np.ndarray) -> np.ndarray:
-        """[modes, nodes, columns]; the arguments are those of `grid.best`."""
+        """[modes, nodes, columns] the best values; the arguments are those of `grid.best`."""
         from snapo.lanes.machine.linked import address  # late: a case is checked without it
 
         modes, _, columns = after.shape
@@ -52,7 +53,7 @@ class Ways(NamedTuple):
 
 
 class StepWays:
-    """The ways of steps with the same passages, computed when first needed."""
+    """The ways of steps that have the same passages, computed when they are first needed."""
 
     def __init__(
         self, layout: ContractLayout, passages: Passages, before: list[int], after: list[int]
@@ -65,7 +66,7 @@ class StepWays:
         return ways_of(*self.parts).best
 
     def serve(self, columns: int) -> bool:
-        """Whether machine code is available for them and there are enough columns for it."""
+        """Whether machine code is available for these ways and there are enough columns for it."""
         from snapo.lanes.machine.pipeline import available  # late, as above
 
         return columns >= WIDTH and bool(self.parts[0].flows) and available()

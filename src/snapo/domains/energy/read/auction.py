@@ -14,8 +14,8 @@ AUCTION = 'a table like { at = "00:00", step = "4h" }'
 
 
 class AuctionTable(CaseTable):
-    """{ at = "00:00", step = "4h" }: auctions at this hour of every day, and every `step` after
-    it. Each auction fixes the flows of the hours up to the next auction, by the local clock.
+    """{ at = "00:00", step = "4h" }: auctions at this hour of every day, and at every `step` after
+    it, by the local clock. Each auction fixes the flows of the hours up to the next auction.
     """
 
     at: str = doc(
@@ -27,14 +27,14 @@ class AuctionTable(CaseTable):
 
 
 def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
-    """The hours, each decided at its auction; unchanged without `auction` in `table`, the table
-    `[contract]`.
+    """The hours, each of which is decided at its auction; unchanged if `table`, the table
+    `[contract]`, has no `auction`.
 
     **Raises:** `CaseError` if the times of the auctions are not allowed.
     """
     if table.auction is None:
         if table.intraday is not None:
-            message = "it trades differences from a schedule; specify `auction` too"
+            message = "it trades differences from the schedules of auctions; specify `auction` too"
             raise where.error("intraday", None, message)
         return hours
     auction = where.nested(AuctionTable, table.auction, "auction")
@@ -43,8 +43,8 @@ def at_auctions(where: TableContext, table: Any, hours: Hours) -> Hours:
         raise where.error("auction.at", auction.at, message)
     if table.intraday is None:
         where.notes.append(
-            "contract.auction: flows are fixed at the auctions. Prices and cash flows of paths "
-            "are those at the auctions, and vary less than the spot prices of the hours."
+            "contract.auction: flows are fixed at the auctions. The paths have the prices and "
+            "cash flows at the auctions, which vary less than those of the spot market."
         )
     zone, step = ZoneInfo(table.time_zone), int(auction.step[:-1])
     instants = (*hours.instants, hours.instants[-1] + datetime.timedelta(hours=1))
@@ -67,8 +67,8 @@ def auction_of(instant: datetime.datetime, zone: ZoneInfo, at: int, step: int) -
     """The last auction at or before the beginning of an hour, both in UTC.
 
     `at`: the hour of one of the auctions of each day; `step`: hours between auctions by the local
-    clock. If an hour that the clock shows twice has an auction, it has two; an auction in a skipped
-    hour is in the next one.
+    clock. An hour with an auction that the clock shows twice has two auctions. An auction in an
+    hour that the clock skips takes place in the next hour.
     """
     local = instant.astimezone(zone)
     back = datetime.timedelta(hours=(local.hour - at) % step)

@@ -90,16 +90,16 @@ class EnergyTable(CaseTable):
     objective: ObjectiveKey
     training: TrainingKey
     evaluation: EvaluationKey
-    products: dict | None = doc("hedge products", None, "the table [products], of a daily contract")
+    products: dict | None = doc("hedge products", None, "the table [products] of a daily contract")
     report: ReportKey
 
 
 class ContractKind(NamedTuple):
-    """The parts of a kind of contract: its table, its reader, the tables within it, and a title.
-    The reader takes the decision days of the contract, or its `Hours`. `hourly`: whether its steps
-    are hours of the local calendar, not days; `pair`: whether its cash flow depends on two
-    commodities; `steps`: the number of steps in a day, all at one price; `opened`: its table with
-    the tables of the files that it names.
+    """The parts of a kind of contract: its table, its reader, its title, and the tables within its
+    table. The reader takes the decision days of the contract, or its `Hours`. `hourly`: whether
+    steps are hours of the local calendar, not days; `pair`: whether cash depends on two
+    commodities; `steps`: the steps of a day, all at one price; `opened`: adds the tables of files
+    that the table names.
     """
 
     table: type[CaseTable]
@@ -222,16 +222,16 @@ class EnergyCase:
     sources: tuple[SourceNumbers, ...] = ()
 
     def numbers(self) -> Iterator[CaseInput]:
-        """Every number of contract, market and prices."""
+        """Every number of the contract, the market and the prices."""
         return numbers_in((self.contract, self.market, self.model))
 
     def inputs(self) -> dict[str, Input]:
-        """{name: Input}; those of contract, market and model."""
+        """{name: Input} of the contract, the market and the model."""
         return {name: entry.input() for name, entry in by_name(self.numbers()).items()}
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
-    """The case in the TOML file `file`, whose tables were read already: `data`.
+    """The case in the TOML file `file`; `data`: the tables of this file.
 
     **Raises:** `CaseError` if a table, a file or a number is wrong.
     """
@@ -324,7 +324,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> EnergyCase:
 
 
 def _by_steps(market: GasMarket, count: int) -> GasMarket:
-    """The market of days on as many steps of each of them."""
+    """The market of days, with each day repeated for its `count` steps."""
     curve = market.forward_curve
     curve = replace(curve, index=np.repeat(curve.index, count))
     return replace(market, forward_curve=curve, gas_day=np.repeat(market.gas_day, count))
@@ -396,5 +396,5 @@ def stores_formats() -> Formats:
 
 
 def _curve_file(market: Any) -> str:
-    """The file of the forward prices, or of the quotes that they are made of."""
+    """The file of the forward prices, or of the quotes from which they are made."""
     return market.forward_curve or market.quotes

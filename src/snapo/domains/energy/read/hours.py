@@ -1,4 +1,4 @@
-"""Hours of the local calendar: steps of a contract, their prices and times."""
+"""Hours of the local calendar: the steps of a contract, with their prices and times."""
 
 import datetime
 import re
@@ -29,7 +29,8 @@ HOUR = re.compile(r"(\d{4}-\d{2}-\d{2}([T ]\d{2}:\d{2})?)(:00(\.0+)?)?", re.ASCI
 
 
 class HourlyQuantity(Quantity):
-    """A number, or the name of a CSV with one for each hour, which is read with `rows_by_hour`."""
+    """A number, or the name of a CSV with a number for each hour, which is read with
+    `rows_by_hour`."""
 
     def read(self, raw: Any, key: KeyContext) -> Any:
         return raw if isinstance(raw, str) and raw else super().read(raw, key)
@@ -45,7 +46,8 @@ HourlyCurve = Annotated[
 
 
 class HourlyContractTable(CaseTable):
-    """`[contract]` of a contract by the hour: units, first and last hour, local calendar."""
+    """The keys of `[contract]` that all hourly contracts have: unit, first and last hour, local
+    calendar."""
 
     volume_unit: Nonempty = doc("unit of all volumes", "MWh", '"MWh"', pattern="^MWh$")
     currency: Currency
@@ -55,7 +57,7 @@ class HourlyContractTable(CaseTable):
 
 
 class HourlyMarketTable(CaseTable):
-    """`[market]` of a contract by the hour."""
+    """`[market]` of an hourly contract."""
 
     valuation_date: ValuationDay
     forward_curve: HourlyCurve
@@ -68,10 +70,10 @@ class Hours:
 
     - `instants` [T]: the hours in UTC; `days` [T]: the local date of each hour; `end`: the date of
       the end.
-    - `ahead` [T + 1]: hours from midnight of the valuation date, local time, to each hour, or to
-      the auction at which its flow is fixed; `notice`: hours from the auction to the hour, if
-      there are auctions.
-    - `curve`: the forward price of each hour, once it is read.
+    - `ahead` [T + 1]: the hours from midnight (local time) of the valuation date to each hour, or
+      to the auction at which the flow of this hour is fixed; `notice`: the hours from the auction
+      to the hour, if there are auctions.
+    - `curve`: the forward price of each hour; None until it has been read.
     """
 
     instants: tuple[datetime.datetime, ...]
@@ -85,7 +87,7 @@ class Hours:
 
     @property
     def nominated(self) -> None:
-        """0: no flow is fixed days before its hour."""
+        """None: no flow is fixed some days before its hour."""
         return None
 
     @property
@@ -95,7 +97,7 @@ class Hours:
 
     @property
     def dates(self) -> tuple[datetime.date, ...]:
-        """[T + 1] the date of each hour, and of the end."""
+        """[T + 1] the date of each hour, and the end date."""
         return (*self.days, self.end)
 
     @property
@@ -152,12 +154,12 @@ def _instant(where: TableContext, key: str, value: Any, zone: ZoneInfo) -> datet
 def read_hourly(
     section: TableContext, table: HourlyMarketTable, hours: Hours, unit: str
 ) -> GasMarket:
-    """Prices by the hour, and rates by the day."""
+    """The market with prices by the hour and interest rates by the day."""
     return hourly_market(hourly_curve(section, table.forward_curve, hours, unit), table, hours)
 
 
 def hourly_market(curve: CaseInput, table: Any, hours: Hours) -> GasMarket:
-    """This curve, with the rates of a table `[market]` by the day."""
+    """This hourly curve, with the daily interest rates of a table `[market]`."""
     rate = table.interest_rate
     day = np.array([(date - table.valuation_date).days for date in hours.days], np.int64)
     starts = rate.starts
@@ -174,7 +176,8 @@ def hourly_curve(
 
 
 def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
-    """[T] the row of each hour, by its local time; an hour that occurs twice has two rows.
+    """[T] the row of the file for each hour, by its local time; an hour that occurs twice has two
+    rows.
 
     **Raises:** `CaseError` for an hour without a price, and for a row between the first and the
     last hour that repeats an hour, or whose hour does not exist.
@@ -190,9 +193,7 @@ def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
         place = seen[label]
         seen[label] += 1
         if place >= len(by_hour.get(label, ())):
-            message = (
-                f"there is no price for this hour; one is needed for each from {first} to {last}"
-            )
+            message = f"there is no price for this hour; each hour from {first} to {last} needs one"
             raise CaseError(file, label, None, message)
         prices.append(by_hour[label][place])
     for label, of_hour in by_hour.items():
@@ -200,15 +201,15 @@ def rows_by_hour(reference: FileReference, hours: Hours) -> list[Row]:
             row = of_hour[needed[label]]
             if label in needed:
                 before = of_hour[0].line
-                raise row.error("time", f"this hour has a price already, on line {before}")
+                raise row.error("time", f"this hour already has a price, on line {before}")
             message = f"there is no such hour from {first} to {last} in the time zone of the case"
             raise row.error("time", message)
     return prices
 
 
 def _local_hour(row: Row) -> str:
-    """The hour of a row as 2026-05-01T07:00; a day, as files of dates write its midnight, is its
-    first hour."""
+    """The hour of a row, such as 2026-05-01T07:00; a date without an hour is the first hour of that
+    day."""
     match = HOUR.fullmatch(row.cells["time"])
     try:
         if match is not None:
@@ -227,8 +228,8 @@ def dated_curve(
     dates = sorted(set(hours.days))
     for day in dates:
         if day not in by_day:
-            message = f"there is no price for this day; one is needed for each from {dates[0]} to "
-            raise CaseError(file, day.isoformat(), None, f"{message}{dates[-1]}")
+            message = f"there is no price for this day; each day from {dates[0]} to "
+            raise CaseError(file, day.isoformat(), None, f"{message}{dates[-1]} needs one")
     labels = [day.isoformat() for day in dates]
     curve = _input(name, [by_day[day] for day in dates], labels, unit, "day")
     return replace(curve, index=np.array([dates.index(day) for day in hours.days]))

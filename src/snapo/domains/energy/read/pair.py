@@ -31,10 +31,10 @@ class PowerMarketTable(CaseTable):
 
 
 class GasMarketTable(CaseTable):
-    """`[market.gas]` or `[market.co2]`, certificates of emissions."""
+    """`[market.gas]`, or `[market.co2]` for emission certificates."""
 
     forward_curve: Nonempty = doc(
-        "price today by day or hour of delivery, in currency/MWh or currency for a certificate",
+        "price today by day or hour of delivery, in currency/MWh, or in currency per certificate",
         allowed="a CSV file with columns date,price (by day) or time,price (by hour)",
     )
 
@@ -65,8 +65,9 @@ class PairModelTable(CaseTable):
 def read_pair_market(
     section: TableContext, table: PairMarketTable, hours: Hours, unit: str
 ) -> tuple[GasMarket, tuple[CaseInput, ...]]:
-    """The prices of power by the hour, with the rates; and for each hour the prices of gas and, if
-    they trade, of certificates, which may have one price for the whole day."""
+    """The hourly prices of power, with the interest rates; and for each hour the prices of gas and,
+    if they have a market, of certificates. Gas and certificates may have one price for the whole
+    day."""
     power = section.nested(PowerMarketTable, table.power, FIRST)
     inner = TableContext(section.file, f"{section.name}.{FIRST}", section.notes)
     curve = hourly_curve(inner, power.forward_curve, hours, unit, f"{FIRST}_curve")
@@ -132,22 +133,22 @@ def read_pair_model(
 
 
 def _check_third(section: TableContext, table: PairModelTable, others, share) -> None:
-    """Whether certificates have a curve and a model where they trade, and only there."""
+    """Refuses certificates with a market but without a curve and a model, and the reverse."""
     for name, there in (("market.co2", len(others) > 1), ("model.co2", table.co2 is not None)):
         if there and share is None:
-            message = 'allowed only where contract.emission has market = "co2"'
+            message = 'allowed only if contract.emission has market = "co2"'
             raise CaseError(str(section.file), name, None, message)
         if not there and share is not None:
-            message = 'this table is needed where contract.emission has market = "co2"'
+            message = 'this table is needed if contract.emission has market = "co2"'
             raise CaseError(str(section.file), name, None, message)
 
 
 def _correlations(section: TableContext, entries: list[Any], names: list[str]) -> dict:
-    """{pair of names: (number, position)} of the entries."""
+    """{pair of names: (correlation, position in the file)} of the entries."""
     result: dict[frozenset, tuple[float, Any]] = {}
     allowed = CORRELATIONS
     if len(names) > 2:
-        allowed += f", one entry for two of {', '.join(names)}"
+        allowed += f", with one entry for each pair of {', '.join(names)}"
     for i, entry in enumerate(entries):
         if len(entries) > len(names) * (len(names) - 1) // 2 or not isinstance(entry, list):
             raise section.error("correlation", entries, f"it must be {allowed}")

@@ -1,5 +1,6 @@
-"""Fitted value iteration for Gaussian price factors, and the store with known prices: the bound.
+"""Upper bounds: fitted value iteration for Gaussian price factors, and the best flows of a store at
+known prices.
 
-`relaxation.StoreRelaxation` is the inner problem of `snapo.bound`. Its penalty comes from the fit
-of `value_iteration`, from which the value table of the policy is made too.
+`relaxation.StoreRelaxation` is the inner problem of `snapo.bound`. The penalty is made from the
+fitted value of `value_iteration`, as is the value table of the policy.
 """

@@ -1,15 +1,17 @@
 """Functions of Gaussian price factors whose conditional expectations are known in closed form.
 
-Products of normalised Hermite polynomials he_n = He_n / sqrt(n!) in whitened factors y, and hinges
-(y - k)+ in the fast one, since every decision leaves a kink there; all times the exponential g of
-the factors that move all prices in proportion (a martingale of mean 1). In addition to such an
-exponential there is a constant, since proportional costs do not scale with it.
+The functions are products of normalised Hermite polynomials he_n = He_n / sqrt(n!) in whitened
+factors y, and hinges (y - k)+ in the fast factor, where every decision leaves a kink. All are
+multiplied by g, the exponential of the factors that move all prices in proportion (a martingale of
+mean 1). If there is such an exponential, the constant is added as a function, since proportional
+costs do not scale with g.
 
     Y(t + 1) = R Y(t) + noise,   E[he_a(Y(t + 1)) | Y(t)] = sum over |b| = |a| of M[a, b] he_b(Y(t))
 
 with M = rho^a on the diagonal if the factors are independent (Mehler's formula); otherwise M
-follows from the generating function exp(s.y - s.s / 2), whose expectation is that at R' s. With
-mean m and deviation s of y(t + 1), E[(y(t + 1) - k)+] = s phi(d) + (m - k) Phi(d), d = (m - k) / s.
+follows from the generating function exp(s.y - s.s / 2), whose expectation is the same function at
+R' s. With mean m and deviation s of y(t + 1), E[(y(t + 1) - k)+] = s phi(d) + (m - k) Phi(d), d =
+(m - k) / s.
 """
 
 import math
@@ -55,12 +57,13 @@ class PolynomialBasis:
 
     @property
     def parts(self) -> np.ndarray:
-        """[K] to which part of a penalty a function belongs: polynomials, hinges, the constant."""
+        """[K] the part of a penalty to which a function belongs: polynomials, hinges or the
+        constant."""
         return np.repeat(range(3), [len(self.powers), len(self.hinges), bool(self.common)])
 
     @property
     def constant(self) -> int:
-        """The number of the function 1 among those without hinges."""
+        """The position of the constant function 1 among the functions without hinges."""
         return (
             len(self.powers) if self.common else int(np.flatnonzero(_degree(self.powers) == 0)[0])
         )
@@ -72,19 +75,20 @@ class PolynomialBasis:
         return np.append(mean, 1.0) if self.common else mean
 
     def functions(self, states: np.ndarray, first: int = 0) -> np.ndarray:
-        """[days, K, paths] on days first, first + 1 …, from their factors [days, F, paths]."""
+        """[days, K, paths] the functions on days first, first + 1 …, from the factors [days, F,
+        paths]."""
         days = np.arange(first, first + len(states))
         result = self.of_whitened(self._whitened(states, days), days)
         return self._assemble(result, self._level(states, days))
 
     def expected(self, states: np.ndarray, first: int = 0) -> np.ndarray:
-        """[days, K, paths] conditional expectations of the functions a day later."""
+        """[days, K, paths] the conditional expectations of the functions a day later."""
         days = np.arange(first, first + len(states))
         ahead = self.ahead_of_whitened(self._whitened(states, days), days)
         return self._assemble(ahead, self._level(states, days))
 
     def increments(self, states: np.ndarray) -> np.ndarray:
-        """[T + 1, K, paths] functions minus their conditional expectation a day before.
+        """[T + 1, K, paths] the functions minus their conditional expectations a day before.
 
         `states` [T + 1, F, paths]. The first row is relative to the valuation date.
         """
@@ -95,7 +99,7 @@ class PolynomialBasis:
 
     @property
     def hinges(self) -> np.ndarray:
-        """[hinges] their positions, in standard deviations of the fast factor."""
+        """[hinges] the positions of the hinges, in standard deviations of the fast factor."""
         return hinges(len(self.selected))
 
     @property
@@ -122,7 +126,8 @@ class PolynomialBasis:
     def ahead_of_whitened(
         self, y: np.ndarray, days: np.ndarray, polynomials: np.ndarray | None = None
     ) -> np.ndarray:
-        """The same as expected for the day after each of `days`, which are not the last."""
+        """[days, n + hinges, paths] the conditional expectations of the functions of `of_whitened`
+        on the day after each of `days`; none of these days is the last date."""
         after = days + 1
         available = self.polynomials(y) if polynomials is None else polynomials
         now, moves = available * self._alive[days][:, :, None], self._moves[after]
@@ -147,7 +152,8 @@ class PolynomialBasis:
         return polynomials
 
     def linear(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """[T + 1, kept, F], [T + 1, F], [T + 1]: y = first f and ln g = second f - third."""
+        """Three arrays [T + 1, kept, F], [T + 1, F] and [T + 1], with which y = first f and ln g =
+        second f - third."""
         dates, size = self.of.decay.shape
         whiten, common = np.zeros((dates, len(self.selected), size)), np.zeros((dates, size))
         whiten[:, :, self.selected] = self._whiten
@@ -156,8 +162,9 @@ class PolynomialBasis:
 
     def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
         """[T, levels, n] the coefficients of the expectation, a day before, of polynomials with
-        coefficients [T, levels, n]. They are for the dates after the first, times the exponential;
-        the constant, if there is one, comes last.
+        coefficients [T, levels, n]. The coefficients are for the dates after the first date, and
+        for functions that include the exponential; the coefficient of the constant, if there is
+        one, is the last.
         """
         size, moves = len(self.powers), self._moves[1:]
         plain = after[:, :, :size]
@@ -168,8 +175,8 @@ class PolynomialBasis:
     def same_days(self) -> np.ndarray:
         """[T + 1] the first date with the same functions, expectations and exponential.
 
-        A factor that reverts fast soon has a constant deviation: a year by the hour has some
-        hundred different ones.
+        The standard deviation of a factor that reverts fast is soon constant: a year of hours has
+        far fewer different dates than hours.
         """
         dates = len(self._turn)
         after = np.minimum(np.arange(dates) + 1, dates - 1)
@@ -180,12 +187,12 @@ class PolynomialBasis:
         return result[1][result[2].ravel()]
 
     def key(self) -> tuple:
-        """Equal for bases with the same functions of the same factors."""
+        """A key that is equal for bases with the same functions of the same factors."""
         numbers = self.of.transition, self.of.shock, self._common_loading
         return self.selected, self.common, *(x.tobytes() for x in numbers), self.of.decay.shape
 
     def back(self, t: int) -> np.ndarray:
-        """[kept, kept] the factors of day t per unit of the whitened ones."""
+        """[kept, kept] the factors of day t per unit of the whitened factors."""
         return self._cholesky[t]
 
     def level_deviation(self, days: np.ndarray | int) -> np.ndarray:
@@ -242,14 +249,14 @@ class PolynomialBasis:
 
     @cached_property
     def _turn(self) -> np.ndarray:
-        """[T + 1, kept, kept] R into each date."""
+        """[T + 1, kept, kept] the matrix R of the step to each date."""
         before = np.concatenate([np.zeros_like(self._cholesky[:1]), self._cholesky[:-1]])
         moves = self.of.transition[:, self.selected][:, :, self.selected]
         return self._whiten @ moves @ before
 
     @cached_property
     def _moves(self) -> np.ndarray:
-        """[T + 1, n, 1] factors or [T + 1, n, n] matrices that lead into each date."""
+        """[T + 1, n, 1] factors, or [T + 1, n, n] matrices M, of the step to each date."""
         turn = self._turn
         if np.all(np.abs(turn * (1 - np.eye(len(self.selected)))) < 1e-12):
             local = np.diagonal(turn, axis1=1, axis2=2)
@@ -277,17 +284,18 @@ def gaussian_basis(of: GaussianFactors, priced: bool) -> PolynomialBasis:
 
 
 def hinges(count: int) -> np.ndarray:
-    """[hinges] their positions for this number of factors, in deviations of the fast one."""
+    """[hinges] the positions of the hinges for this number of factors, in standard deviations of
+    the fast factor."""
     return ALONE if count == 1 else FEW
 
 
 def _degree(powers: np.ndarray) -> np.ndarray:
-    """[n] total degrees."""
+    """[n] the total degrees."""
     return powers.sum(axis=1)
 
 
 def powers(count: int) -> np.ndarray:
-    """[n, count] degrees of all products up to a total degree: `_mehler` needs all."""
+    """[n, count] degrees of all products up to a total degree, all of which `_mehler` needs."""
     total = DEGREES.get(count, 3)
     every = product(range(total + 1), repeat=count)
     return np.array([item for item in every if sum(item) <= total])

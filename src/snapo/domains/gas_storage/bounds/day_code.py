@@ -1,8 +1,9 @@
 """A day of a store in machine code, with the same bits as `day_grid.best_value` in NumPy.
 
-The code treats some columns at a time, so that their values stay in the fastest cache. For one
-block of columns and one direction of flow, scratch memory has these rows: the value after the day
-minus that of the gas, at each node; maxima of 2, 4, 8 … consecutive nodes; and minus infinity.
+The code works on a few columns at a time, so that their values stay in the fastest cache. For one
+block of columns and one direction of flow, the scratch memory has these rows: the value after the
+day minus the value of the gas, at each node; the maxima over 2, 4, 8 … consecutive nodes; and minus
+infinity.
 """
 
 from collections.abc import Iterator
@@ -28,9 +29,9 @@ WIDTH = 16  # columns at once; the last ones of a number of columns may be compu
 class SideCode(NamedTuple):
     """One direction of flow; rows are those of the scratch memory.
 
-    - `sizes` [3]: the numbers of rows, of maxima among the rows, and of bends.
-    - `maxima` [maxima, 2]: each is the larger of two rows.
-    - `window` [n, 2]: the largest value at a node within reach is the larger of two rows.
+    - `sizes` [3]: the number of rows, of maxima among the rows, and of bends.
+    - `maxima` [maxima, 2]: the two rows of which each maximum is the larger.
+    - `window` [n, 2]: the two rows of which the larger is the largest value at a node within reach.
     - `endpoints` [n, 4], `shares` [n, 2]: rows left and right of both limits of the reach, and the
       weight of the right one.
     - `bends` [bends, 3]: cell, next node, and the node where the full flow ends; `bend_numbers`
@@ -56,7 +57,7 @@ class DayFlows:
     """Both directions of flow on a day, from `rows` nodes at its start to `size` nodes at its end.
 
     - `buy`, `sell`: the reach of each, with its bends if an upper value is computed.
-    - `sides`: the same for machine code, made when it is first needed.
+    - `sides`: the same for the machine code, made when first needed.
     """
 
     rows: int
@@ -79,8 +80,8 @@ def best_value(
     after: np.ndarray,
     above: bool,
 ) -> np.ndarray:
-    """See `day_grid.best_value`; `numbers`: of the nodes after the day, of the gas without a flow,
-    and of the cost of keeping it."""
+    """See `day_grid.best_value`; `numbers`: the inventories of the nodes after the day, the
+    inventories at the end without a flow, and the cost of holding them."""
     from snapo.lanes.machine.linked import address  # late: a case is checked without it
 
     columns = after.shape[1]
@@ -176,7 +177,7 @@ class _Day:
         self.column = ""  # the first of the block
 
     def write(self) -> None:
-        """All blocks of columns."""
+        """Writes the code for all blocks of columns."""
         code = self.code
         more = code.index(f"add i64 %columns, {WIDTH - 1}")
         final = code.index(f"sub i64 %columns, {WIDTH}")
@@ -194,7 +195,7 @@ class _Day:
                 self._set_row("value", row.i, code.sub(self._row("value", row.i), cost))
 
     def _lines(self, side: str) -> None:
-        """The value minus that of the gas, and maxima of rows."""
+        """The value minus the value of the gas, and the maxima of rows."""
         code, scratch = self.code, f"{side}_scratch"
         price = self._row(f"{side}_price", "0")
         with code.loop("%goals") as node:
@@ -226,8 +227,8 @@ class _Day:
             self._set_row("value", row.i, best)
 
     def _raise(self) -> None:
-        """Nodes raised by the larger of the gaps of their two cells; row i + 1 of the excess is
-        that of cell i, and the outer ones are repeated."""
+        """Raises each node by the larger gap of its two cells. Row i + 1 of the excess belongs to
+        cell i; the first and the last row repeat those of the outer cells."""
         code = self.code
         zero, last = code.constant(0.0, "float64", WIDTH), code.index("sub i64 %rows, 1")
         with code.loop(code.index("add i64 %rows, 1")) as row:
@@ -252,7 +253,8 @@ class _Day:
 
     @contextmanager
     def _times(self, side: str, size: int) -> Iterator[str]:
-        """A loop over maxima (1) or bends (2), of which there may be none; gives the number."""
+        """A loop over the maxima (`size` 1) or the bends (`size` 2), of which there may be none;
+        yields their number in turn."""
         code, count = self.code, self._integer(f"{side}_sizes", "0", size, 3)
         with code.branch(code.index(f"icmp sgt i64 {count}, 0")), code.loop(count) as loop:
             yield loop.i
@@ -271,7 +273,7 @@ class _Day:
         return self.code.load(self._entry(name, row, i, width), "float64", 1)
 
     def _place(self, name: str, row: str) -> str:
-        """The block's columns of a row of all columns."""
+        """The address of the columns of this block in a row of all columns."""
         first = self.code.index(f"mul i64 {row}, %columns")
         number = self.code.index(f"add i64 {first}, {self.column}")
         return self.code.pointer(self.arrays[name], self.code.index(f"mul i64 {number}, 8"))

@@ -1,10 +1,10 @@
 """One day of a store on a grid of inventories: the reach of each start, and the best flows.
 
 The grid does not depend on prices: all paths share it. Positions at the end of the day are counted
-in nodes of the grid there. The value after the day is linear between nodes. The best flow to a
-node or to an end of the reach is then exact at every start-of-day node. Between two nodes the value
-is convex except for its bends (`DayGrid.buy_bends`): with one more gain there, a line between
-raised nodes is an upper bound.
+in nodes of the grid at the end of the day. The value after the day is linear between nodes. The
+best flow to a node or to an end of the reach is then exact at every start-of-day node. Between two
+nodes the value is convex except at its bends (`DayFlows.buy_bends`). If both nodes are raised by
+the gap at the bends, the line between them is an upper bound.
 """
 
 from typing import NamedTuple
@@ -40,9 +40,10 @@ NEAR = 0.02  # in spacings: nodes are not nearer to one another than this
 class DayGrid(NamedTuple):
     """A decision day between two grids.
 
-    - `nodes` [n] at its start, `after` [m] at its end; `keep` [n] and `cost` [n]: the inventory at
-      the end without a flow, and the present value of the cost of holding it.
-    - `flows`: the reach of buying and of selling.
+    - `nodes` [n], `after` [m]: the inventories of the grids at its start and at its end; `keep` [n]
+      and `cost` [n]: the inventory at the end without a flow, and the present value of the cost of
+      holding it.
+    - `flows`: the inventories that buying and selling can reach.
     """
 
     nodes: np.ndarray
@@ -55,13 +56,13 @@ class DayGrid(NamedTuple):
 def day_grids(
     schedule, interpolation: Interpolation, inventories: int, bends: bool = True
 ) -> list[DayGrid]:
-    """The grids of all T days; the value of the best flow is linear between nodes if that is
-    possible. Without `bends` the grids are for values of the best flow, not for upper bounds. They
-    contain only inventories that can be reached from the present one. See `breakpoints` of the
-    references for contracts with constant rates. For other contracts there are `inventories` points
-    from 0 to the largest inventory. Ratchet rows are nodes, and so are the inventories where the
-    intrinsic value bends most: inventories that can just be emptied or filled in time have a bend
-    at all prices, and a bend between nodes causes the largest error.
+    """The grids of all T days, with nodes between which the value of the best flow is linear, if
+    such nodes exist. Without `bends` the grids are for values of the best flow, not for upper
+    bounds. They contain only inventories that can be reached from the present inventory. See
+    `breakpoints` of the references for contracts with constant rates. For other contracts there are
+    `inventories` points from 0 to the largest inventory. Ratchet rows are nodes, and so are the
+    inventories where the intrinsic value bends most: inventories that can just be emptied or filled
+    in time have a bend at all prices, and a bend between nodes causes the largest error.
     """
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
@@ -90,7 +91,7 @@ def spacing_of(schedule, inventories: int, widest: float) -> float:
     """The spacing of the regular nodes: if possible a divisor of the largest flow, so that this
     flow ends on a node.
 
-    `widest`: the widest interval of inventories that can be reached from the present one.
+    `widest`: the widest interval of inventories that can be reached from the present inventory.
     """
     spacing, rate = widest / (inventories - 1), largest_rate(schedule)
     parts = round(rate / spacing) if spacing > 0 else 0
@@ -98,7 +99,7 @@ def spacing_of(schedule, inventories: int, widest: float) -> float:
 
 
 def _bent(line: PiecewiseLine, maximum: int) -> np.ndarray:
-    """The inner breakpoints with the largest kinks of a line, up to a maximum number."""
+    """The inner breakpoints of a line with the largest kinks, at most `maximum`."""
     if len(line.at) < 3:
         return np.zeros(0)
     change = np.abs(np.diff(np.diff(line.value) / np.diff(line.at)))
@@ -107,7 +108,8 @@ def _bent(line: PiecewiseLine, maximum: int) -> np.ndarray:
 
 
 def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np.ndarray:
-    """Regular nodes, those near a bend replaced by it; ends and ratchet rows stay."""
+    """The regular nodes, in which a node near a bend is replaced by the bend; the ends and the
+    ratchet rows stay."""
     bent = bent[(bent > regular[0] + NEAR * spacing) & (bent < regular[-1] - NEAR * spacing)]
     fixed = np.concatenate([regular[[0, -1]], levels])
     bent = bent[np.abs(bent[:, None] - fixed).min(axis=1) > NEAR * spacing]
@@ -121,7 +123,7 @@ def _joined(regular: np.ndarray, bent: np.ndarray, spacing: float, levels) -> np
 def days_between(
     schedule, day_rates: list[DayRates], nodes: list[np.ndarray], bends: bool
 ) -> list[DayGrid]:
-    """All T days between T + 1 grids; days with equal moves share their flows."""
+    """The T days between T + 1 grids; days with equal moves share their flows."""
     flows: dict[tuple[bytes, ...], DayFlows] = {}
     days = []
     for t in range(len(day_rates)):
@@ -156,9 +158,9 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
     **Arguments:**
 
-    - `prices`: present values of a unit bought and of a unit sold, [columns] each.
+    - `prices`: the present values of a unit bought and of a unit sold, each [columns].
     - `after` [m, columns]: the value on the nodes at the end of the day, linear between them.
-    - `above`: whether the result, linear between nodes, is an upper bound of the value of the best
+    - `above`: whether the result, linear between nodes, is an upper bound on the value of the best
       flow at every inventory; otherwise it equals that value at the nodes, and may be below it
       between them.
     """
@@ -187,7 +189,7 @@ def best_value(day: DayGrid, prices: UnitPrices, after: np.ndarray, above: bool)
 
 
 def _less(after: np.ndarray, nodes: np.ndarray, price: np.ndarray) -> np.ndarray:
-    """The value after the day minus that of the gas at a price: [m, columns]."""
+    """[m, columns] the value after the day minus the value of the gas at a price."""
     value = np.multiply.outer(nodes, price)
     return np.subtract(after, value, out=value)
 
@@ -210,7 +212,8 @@ def _best_within(line: np.ndarray, reach: ReachableLevels, rows: int) -> np.ndar
 
 
 def _exceed(excess, value, line, price, bends: Bends | None) -> None:
-    """The maximum height of the kinks of a cell above the chord of `value`, into `excess`."""
+    """Writes into `excess` the maximum height of the kinks of each cell above the chord of
+    `value`."""
     if bends is None:
         return
     reduceat = value[bends.left] - value[bends.right]

@@ -1,4 +1,4 @@
-"""The inventories that flows of a day reach, between two grids, as numbers of nodes."""
+"""The inventories that the flows of a day reach between two grids, as numbers of nodes."""
 
 from typing import NamedTuple
 
@@ -26,10 +26,10 @@ class ReachableLevels(NamedTuple):
 
 class Bends(NamedTuple):
     """Inventories between nodes whose reach has a node as endpoint: the value may bend there. They
-    are sorted by cell, which is between nodes `left` and `right`; `share` is the share of the way
-    to the right, `target` the node at the endpoint, and `keep` the inventory without any flow.
-    `cells` are the cells with bends, `starts` the first bend of each of them, None if each has
-    only one.
+    are sorted by cell. `left` and `right` are the nodes of the cell, `share` the share of the way
+    from left to right, `target` the node at the endpoint, and `keep` the inventory without any
+    flow. `cells` are the cells with bends, and `starts` the first bend of each of them, None if
+    each has only one.
     """
 
     left: GridRows
@@ -44,7 +44,8 @@ class Bends(NamedTuple):
 def reach(
     after: np.ndarray, low: np.ndarray, high: np.ndarray, valid: np.ndarray
 ) -> ReachableLevels:
-    """The nodes and the ends between `low` and `high`, where `valid`; all [n]."""
+    """The nodes and the ends of the reach between `low` and `high`, for rows that are `valid`; all
+    arguments are [n]."""
     positions = [np.interp(item, after, np.arange(len(after), dtype=float)) for item in (low, high)]
     endpoints = []
     for position in positions:
@@ -98,7 +99,8 @@ def bends(
 def _meetings(
     endpoints: np.ndarray, after: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """(cell, share, node) wherever a line through `endpoints` [n] crosses a node inside a cell."""
+    """(cell, share, node) of all points inside a cell at which the line through `endpoints` [n]
+    crosses a node."""
     low, high = np.minimum(endpoints[:-1], endpoints[1:]), np.maximum(endpoints[:-1], endpoints[1:])
     first = np.searchsorted(after, low, side="right")
     count = np.maximum(np.searchsorted(after, high, side="left") - first, 0)

@@ -1,6 +1,7 @@
 """The regression of values of a store on a basis: the part that does not depend on prices.
 
-Nodes, functions and normal equations follow from the price factors only; the latest are cached.
+Nodes, functions and normal equations follow from the price factors only, and those of the latest
+factors are cached.
 """
 
 from collections.abc import Callable, Hashable
@@ -17,7 +18,7 @@ MAXIMUM = 1 << 18  # multiplications; OpenBLAS takes one thread below
 
 
 def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """left [n, k] @ right [k, m], some columns at a time."""
+    """left [n, k] @ right [k, m], computed for some columns at a time."""
     wide = max(MAXIMUM // max(left.size, 1), 1)
     if right.shape[1] <= wide:
         return left @ right
@@ -32,9 +33,9 @@ T = TypeVar("T")
 
 
 class Recent(Generic[T]):
-    """The results of the last few different calls; safe between threads. A page that moves a
-    curve, or a table of sensitivities that moves one input after another, uses the same results
-    repeatedly.
+    """A cache of the results of the last few different calls, safe between threads. A page that
+    moves a curve, or a table of sensitivities that moves one input after another, needs the same
+    results repeatedly.
     """
 
     def __init__(self, maximum: int):
@@ -42,7 +43,7 @@ class Recent(Generic[T]):
         self._known: tuple[tuple[Hashable, T], ...] = ()
 
     def of(self, key: Hashable, make: Callable[[], T]) -> T:
-        """The result for this key, made if it is not among the last."""
+        """The result for this key; `make` computes it if it is not among the last results."""
         others = tuple(item for item in self._known if item[0] != key)
         results = next((result for available, result in self._known if available == key), None)
         if results is None:
@@ -51,7 +52,7 @@ class Recent(Generic[T]):
         return results
 
     def clear(self) -> None:
-        """Forgets all."""
+        """Removes all results."""
         self._known = ()
 
 
@@ -73,8 +74,8 @@ class RegressionDay(NamedTuple):
 
     - `fit` [K, Q]: the coefficients of values [m, Q] are values @ fit.T.
     - `ahead` [K, Q]: the expected functions of the next date (zero on the end date).
-    - `plain` [K, n]: coefficients of the best approximations of the functions by functions without
-      hinges.
+    - `plain` [K, n]: the coefficients of the best approximation of each function by functions
+      without hinges.
     - `drift` [K, n]: the same coefficients for `ahead`.
     """
 
@@ -85,7 +86,8 @@ class RegressionDay(NamedTuple):
 
 
 class Regression:
-    """The days of a basis. `y` [kept, Q], `level` [Q], `weight` [Q]: see `states_of`."""
+    """The regressions of all days of a basis. `y` [kept, Q], `level` [Q], `weight` [Q]: see
+    `states_of`."""
 
     def __init__(self, basis: PolynomialBasis):
         self.basis = basis
@@ -161,8 +163,8 @@ class Regression:
 
 
 class SpikeRegression:
-    """The same for a basis with spikes; nodes run over the nodes of the factors x the nodes of
-    spikes."""
+    """The regression for a basis with spikes; its nodes are the products of the nodes of the
+    factors and the nodes of the spikes."""
 
     def __init__(self, basis: SpikeBasis):
         self.basis, self.inner = basis, regression(basis.inner)
@@ -217,7 +219,7 @@ def regression_of(basis: AnyBasis) -> AnyRegression:
 
 
 def regression(basis: PolynomialBasis) -> Regression:
-    """The regression of a basis, cached by the factors."""
+    """The regression of a basis; the regressions of the last factors are cached."""
     of = basis.of
     key = *basis.key(), of.loading.tobytes(), of.variance.tobytes(), of.additive, of.shift
     return _last.of(key, lambda: Regression(basis))
@@ -251,7 +253,7 @@ def _gauss_hermite(count: int) -> tuple[np.ndarray, np.ndarray]:
 def scaled(
     basis: PolynomialBasis, days: np.ndarray, result: np.ndarray, level: np.ndarray
 ) -> np.ndarray:
-    """[days, K, Q] functions from their polynomials."""
+    """[days, K, Q] the functions, from their parts without g."""
     if not basis.common:
         return result
     deviation = basis.level_deviation(days)[:, None, None]
@@ -261,12 +263,12 @@ def scaled(
 
 
 def _products(left: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """[days, k, m] of left [days, k, Q] and right [days, m, Q] transposed."""
+    """[days, k, m] the products of left [days, k, Q] and right [days, m, Q] transposed."""
     return np.array([product(a, b.T) for a, b in zip(left, right, strict=True)])
 
 
 def _solved(normal: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """[days, K, …] of weighted least squares with these normal equations; small where
-    undetermined."""
+    """[days, K, …] the solution of weighted least squares with these normal equations; undetermined
+    parts of it are small."""
     ridge = RIDGE * np.trace(normal, axis1=1, axis2=2)[:, None, None]
     return np.linalg.solve(normal + ridge * np.eye(normal.shape[-1]), right)

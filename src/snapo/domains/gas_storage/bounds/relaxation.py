@@ -1,10 +1,10 @@
-"""The bound of a storage problem: stores with known prices, penalised for perfect foresight.
+"""The bound of a storage problem: a store on known prices, penalised for perfect foresight.
 
     penalty of ending day t with inventory I = V(I, X(t + 1)) - E[V(I, X(t + 1)) | X(t)]
 
-For any V of the day after, the penalty has mean zero for a rule without foresight, so the mean of
-the best penalised earnings is above the value of every such rule; with the exact V it is the exact
-value, on every path. Sources: see `snapo.solver.bound`.
+With any V of the next day, the penalty has mean zero for a rule without foresight. The mean of the
+best penalised earnings is therefore at least the value of every such rule. With the exact V the
+best penalised earnings are the exact value on every path. Sources: see `snapo.solver.bound`.
 """
 
 from concurrent.futures import ThreadPoolExecutor
@@ -30,9 +30,9 @@ INVENTORIES = 141
 class Hindsight:
     """The penalised store of a schedule (NumPy leaves).
 
-    - `fitted_value`: the V of the penalty, None for perfect foresight without a penalty.
-    - `inventories`: points of the grid from 0 to the largest inventory. Between them the value is
-      bounded from above (`best_value`): a coarse grid only gives a higher bound.
+    - `fitted_value`: the function V of the penalty, None for perfect foresight without a penalty.
+    - `inventories`: the number of grid points from 0 to the largest inventory. Between them the
+      value is bounded from above (`best_value`), so that a coarse grid only makes the bound higher.
     """
 
     def __init__(
@@ -66,7 +66,7 @@ class Hindsight:
     def charged(
         self, inventory: np.ndarray, states: np.ndarray, scale: PenaltyScale = 1.0
     ) -> np.ndarray:
-        """[paths] the penalties along these inventories [T + 1, paths]; their mean is zero.
+        """[paths] the penalties along these inventories [T + 1, paths].
 
         The mean is zero only if each inventory was decided without foresight.
         """
@@ -117,7 +117,7 @@ class StoreRelaxation:
     """See `snapo.Relaxation`.
 
     `fitted_value` is the value function of the penalty, if the price process has Gaussian factors;
-    it is finer than the one behind the policy's value table.
+    its grid is finer than that of the value table of the policy.
     """
 
     def __init__(self, problem: Problem, inventories: int = INVENTORIES):
@@ -150,7 +150,7 @@ class StoreRelaxation:
         return spots, factors_on_paths(self.process, rollout)
 
     def _scales(self, scale: np.ndarray) -> PenaltyScale:
-        """The scale of each function of the basis, from those of the penalty's parts."""
+        """The scale of each function of the basis, from the scales of the parts of the penalty."""
         if self.fitted_value is None or not len(scale):
             return 1.0
         return scale[self.fitted_value.basis.parts]
@@ -163,7 +163,7 @@ def path_of(rollout, name: str):
 
 
 def spots_on_paths(process: PriceProcess, prices, rollout) -> np.ndarray:
-    """[T + 1, N] spot prices of a rollout; NaN-free also if the end date needs none.
+    """[T + 1, N] spot prices of a rollout, without NaN even if no price is needed on the end date.
 
     `prices`: the prepared schedule of the process.
     """

@@ -1,9 +1,11 @@
-"""Functions of Gaussian factors and spikes: all products of one function of each.
+"""Functions of Gaussian factors and spikes: all products of a function of the factors and a
+function of the spikes.
 
 The functions of spikes y are exponentials exp(k y), because decaying spikes raise the prices of the
 next days by such factors. Their expectation has a formula: E[exp(k y(t + 1)) | y(t)] = E[exp(k J)]
-exp(k decay y(t)). Factors and spikes are independent, so the regressions are too, and a regression
-on the products is the Kronecker product of one in the factors and one in the spikes.
+exp(k decay y(t)). Factors and spikes are independent. A regression on the products is therefore the
+Kronecker product of a regression on the functions of the factors and one on the functions of the
+spikes.
 """
 
 from dataclasses import dataclass
@@ -28,8 +30,8 @@ class SpikeBasis:
     """Products of the functions of `inner`, of the factors, and of exponentials of the spikes.
 
     It has the members of a `PolynomialBasis` that are needed to evaluate values. Coordinates are
-    the factors, then y; pair (i, j) is the function number i times the number of exponentials, plus
-    j.
+    the factors, then y. The pair (i, j) is the function with the number i n + j, where n is the
+    number of exponentials.
     """
 
     inner: PolynomialBasis
@@ -42,12 +44,12 @@ class SpikeBasis:
 
     @property
     def of(self) -> GaussianFactors:
-        """All factors, and the spikes."""
+        """The Gaussian factors, with their spikes."""
         return self.inner.of
 
     @property
     def selected(self) -> tuple[int, ...]:
-        """The functions of the factors."""
+        """The indices of the factors in the polynomials."""
         return self.inner.selected
 
     @property
@@ -67,7 +69,7 @@ class SpikeBasis:
 
     @property
     def constant(self) -> int:
-        """The number of the function 1 among those without hinges."""
+        """The position of the constant function 1 among the functions without hinges."""
         return self.inner.constant * COUNT
 
     @cached_property
@@ -94,8 +96,8 @@ class SpikeBasis:
         return result
 
     def linear(self) -> tuple[np.ndarray, ...]:
-        """As for a `PolynomialBasis`; then [T + 1, n] the exponents of the functions, and of their
-        expectation a day before."""
+        """The arrays of `PolynomialBasis.linear`; then [T + 1, n] the exponents of the functions,
+        and the exponents of their expectation a day before."""
         rows = np.ones((len(self.of.decay), 1))
         return (
             *self.inner.linear(),
@@ -104,18 +106,19 @@ class SpikeBasis:
         )
 
     def expected_coefficients(self, after: np.ndarray) -> np.ndarray:
-        """See `PolynomialBasis.expected_coefficients`; of the exponentials of the day before."""
+        """See `PolynomialBasis.expected_coefficients`; the result is for the exponentials on the
+        day before."""
         split = after.reshape(*after.shape[:2], -1, COUNT)
         parts = [self.inner.expected_coefficients(split[..., j]) for j in range(COUNT)]
         return (np.stack(parts, axis=-1) * self.spikes.moment(self.exponents)).reshape(after.shape)
 
     def key(self) -> tuple:
-        """Equal for bases with the same functions of the same factors and spikes."""
+        """A key that is equal for bases with the same functions of the same factors and spikes."""
         return *self.inner.key(), *self.spikes[:-1], self.spikes.compensator.tobytes()
 
     @cached_property
     def nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Spikes at which values are fitted, and their weights."""
+        """The sizes of spikes at which values are fitted, and their weights."""
         nodes = self.spikes.size * LARGEST * (np.arange(NODES) / (NODES - 1)) ** 2
         weights = np.gradient(nodes) / self.spikes.size * np.exp(-nodes / self.spikes.size)
         often = max(self.spikes.rate / max(-np.log(self.spikes.decay), 1e-9), RARE)
@@ -125,9 +128,9 @@ class SpikeBasis:
 
     @cached_property
     def regression(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Three arrays: [n, nodes] maps values at the nodes to coefficients, [n, nodes] are the
-        expected functions of the day after at the nodes, and [n, n] are the coefficients that fit
-        these expectations best."""
+        """Three arrays. The first [n, nodes] maps values at the nodes to coefficients; the second
+        [n, nodes] has the expectations, at the nodes, of the functions on the next day; the third
+        [n, n] has the coefficients that fit these expectations best."""
         nodes, weights = self.nodes
         functions = np.exp(self.exponents[:, None] * nodes)
         ahead = np.exp(self.spikes.decay * self.exponents[:, None] * nodes)

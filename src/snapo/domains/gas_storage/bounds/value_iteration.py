@@ -1,12 +1,12 @@
 """Fitted value iteration: the value of gas as functions of Gaussian price factors, day by day.
 
 Its marginal values are the baseline of a policy. The expectation of the fitted value has hinges
-that a day's noise has smoothed; polynomials approximate them, so that a policy computes few
+that the noise of a day has smoothed; polynomials approximate them, so that a policy computes few
 numbers.
 
-Its daily innovations are a control variate. Relative to the value of the store before its price is
-known, they have a mean of zero for every policy (Rogers, Mathematical Finance 12 (2002); Andersen
-and Broadie, Management Science 50 (2004)), and remove most of the variance where the fit is good.
+The daily innovations of the fitted value are a control variate. They have mean zero for every
+policy (Rogers, Mathematical Finance 12 (2002); Andersen and Broadie, Management Science 50 (2004)),
+and remove a large part of the variance if the fit is good.
 """
 
 from dataclasses import dataclass
@@ -34,9 +34,10 @@ _last: Recent[list[DayGrid]] = Recent(2)  # those of the case, and of another in
 
 
 def regular_grids(schedule, interpolation: Interpolation, inventories: int) -> list[DayGrid]:
-    """All T days; `inventories` points from 0 to the largest inventory, and the ratchet rows.
+    """The grids of all T days, with about `inventories` points at equal distances and the ratchet
+    rows.
 
-    Only inventories that the one in store can become.
+    They contain only inventories that can be reached from the present inventory.
     """
     key = interpolation, inventories, *_numbers(schedule)
     return _last.of(key, lambda: _made(schedule, interpolation, inventories))
@@ -91,11 +92,12 @@ def fit_value(
     interpolation: Interpolation,
     inventories: int = INVENTORIES,
 ) -> FittedValue:
-    """Backwards in time, the value of the best flow on quadrature nodes, regressed on the basis.
+    """The fitted value: backwards in time, the value of the best flow on quadrature nodes is
+    regressed on the basis.
 
-    The continuation is the basis' expectation, so that only the fit is an approximation:
-    Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12 (2001). There must be at least
-    one decision day.
+    The continuation value is the expectation of the fitted functions in closed form, so that only
+    the fit is an approximation (Tsitsiklis and Van Roy, IEEE Transactions on Neural Networks 12
+    (2001)). There must be at least one decision day.
     """
     days = day_grids(schedule, interpolation, inventories, bends=False)
     return _fitted(schedule, factors, days)
@@ -104,11 +106,11 @@ def fit_value(
 def fit_value_table(
     schedule, factors: GaussianFactors, interpolation: Interpolation
 ) -> FittedValue:
-    """The grid with half as many nodes, none of them at bends, if slopes over many nodes are
-    sufficient.
+    """The fitted value for the value table of a policy, on a coarser grid with at least half as
+    many nodes, none of them at bends.
 
-    A policy that reads this grid loses almost nothing (for the flagship store less than 1e-5 of its
-    value), but an upper bound would become wider: it uses `fit_value`.
+    A policy that reads this grid loses almost nothing (for the store of the template less than 1e-5
+    of its value). An upper bound would become less tight; it uses `fit_value`.
     """
     rate = largest_rate(schedule)
     passed = A_DAY * volume_scale(schedule) / rate if rate else INVENTORIES
@@ -139,7 +141,8 @@ def _fitted(schedule, factors: GaussianFactors, days: list[DayGrid]) -> FittedVa
 
 
 def interpolated(nodes: np.ndarray, table: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Rows of a table [m, K] at points [n]: linear between rising nodes [m], flat outside."""
+    """The rows of a table [m, K] at points [n]: linear between the rising nodes [m], and constant
+    outside them."""
     if nodes.size == 1:
         return np.broadcast_to(table, (len(points), table.shape[1]))
     position = np.interp(points, nodes, np.arange(nodes.size, dtype=float))
@@ -152,8 +155,8 @@ class FittedMarginal(NamedTuple):
     """The value of one more unit of gas at the END of each day, as a present value.
 
     - `low`, `high`: [T] the range of the table, see `SlopeTable`.
-    - `above`, `below`: [T, rows, n] coefficients on either side of a row: of the polynomials of the
-      basis times its exponential and, if there is one, of the constant.
+    - `above`, `below`: [T, rows, n] coefficients on either side of a row, for the polynomials of
+      the basis times its exponential and, if the basis has one, for the constant.
     - `whiten`: [T, kept, F], `common` [T, F], `shift` [T]: y = whiten f, ln g = common f - shift.
     - `exponents`, `exponents_ahead`: the exponents of functions of spikes, if there are any, see
       `SpikeBasis`.
@@ -171,7 +174,8 @@ class FittedMarginal(NamedTuple):
 
 
 def fitted_marginal(schedule, fitted_value: FittedValue) -> FittedMarginal:
-    """The table of a fitted value; outside its inventories the last slope continues."""
+    """The table of the slopes of a fitted value; outside its inventories the last slope
+    continues."""
     available, steps = fitted_value.regression, schedule.steps
     horizon, rows, basis = len(steps.forward), slope_table(schedule), available.basis
     table = np.zeros((2, horizon, rows.rows, basis.plain))
@@ -190,14 +194,15 @@ INNOVATION_LEVELS = 16
 
 
 class InnovationTable(NamedTuple):
-    """The value on T days and on the end date, as functions of inventory and price factors.
+    """The value on T days and on the end date, as a function of inventory and price factors.
 
     - `low`, `high`: [T + 1] the interval of the evenly spaced levels; beyond it the value is
       constant.
-    - `now`: [T + 1, levels, n] coefficients of the functions of `FittedMarginal`; present values.
+    - `now`: [T + 1, levels, n] the coefficients of the functions of `FittedMarginal`, in present
+      values.
     - `ahead`: [T, levels, n] coefficients of the expectation of the value a day before, on the
       levels of the next date.
-    - `first`: the expectation of the first value on the valuation date.
+    - `first`: the expectation, on the valuation date, of the value on the first day.
     - `whiten`, `common`, `shift`, exponents: [T + 1, …], as in `FittedMarginal`.
     """
 
@@ -214,7 +219,7 @@ class InnovationTable(NamedTuple):
 
 
 def innovation_table(fitted_value: FittedValue, levels: int = INNOVATION_LEVELS) -> InnovationTable:
-    """The table of a fitted value."""
+    """The table of the innovations of a fitted value."""
     available, dates = fitted_value.regression, len(fitted_value.nodes)
     basis = available.basis
     low, high = (np.array([nodes[end] for nodes in fitted_value.nodes]) for end in (0, -1))

@@ -1,4 +1,4 @@
-"""The evidence of a run: the adjoint against bumps, limits, homogeneity in the curve; training,
+"""The evidence of a run: derivatives against bumps, limits, homogeneity in the curve, training,
 assumptions and units."""
 
 from dataclasses import dataclass, field
@@ -26,8 +26,8 @@ TRIES = 16  # at finding inputs nearby that still can be met
 
 def off_ties(problem: Problem) -> Problem:
     """The problem at slightly moved inputs, if the contract can still be met. With round numbers a
-    store is filled or emptied exactly at the end of a day, and a full store without losses stays
-    exactly full; the value then has a kink on every path.
+    store becomes exactly full or empty at the end of a day, and a full store without losses stays
+    exactly full. The value then has a kink on every path.
     """
     for seed in range(TRIES):
         moved = nudged(problem, seed)
@@ -39,7 +39,8 @@ def off_ties(problem: Problem) -> Problem:
 
 @dataclass(frozen=True)
 class Homogeneity:
-    """The sum of forward times delta (`left`), value plus costs (`right`), and their `error`."""
+    """The sum of forward price times delta (`left`), the value plus costs (`right`), and the
+    `error` of their equality."""
 
     left: Number
     right: Number
@@ -62,7 +63,7 @@ class StorageCertificate(Certificate):
 def homogeneity(setup: Setup, solution: Solution) -> Homogeneity | None:
     """The check that the sum of F x delta equals the value plus the present value of costs, with
     decisions held fixed, on the same paths. This holds path by path for any policy, if prices are
-    the forward curve times noise and all of the value is paid in gas and proportional costs.
+    the forward curve times noise, and all cash flows are payments for gas or costs per unit.
     """
     table, case = solution.sensitivities, case_of(setup)
     if table is None or not case.model.proportional:
@@ -85,7 +86,7 @@ def _more(run: StudyRun) -> dict[str, Any]:
 
 
 def show_certificate(run: StorageRun, result: StorageCertificate) -> list[Block]:
-    """Key figures, the adjoint against bumps, and every limit."""
+    """Key figures, a table of derivatives against bumps, and a table of all limits."""
     facts = _facts(run, result)
     return [
         *([Facts(facts)] if facts else []),
@@ -145,7 +146,7 @@ def assumptions(run: StorageRun) -> Section:
 
 
 def _volatility(run: StorageRun) -> tuple[str, str, str]:
-    """The row on volatilities, of prices in money or of their logarithm."""
+    """The row on volatilities: of prices in money, or of their logarithm."""
     unit = next((x.unit for x in run.inputs.values() if x.group == "volatility"), "")
     if unit in ("", VOLATILITY.unit):
         return (
@@ -153,7 +154,7 @@ def _volatility(run: StorageRun) -> tuple[str, str, str]:
             "per √year",
             "volatility of the logarithm of the price; 1 point is 0.01",
         )
-    return "Volatility", unit.replace("sqrt(year)", "√year"), "of the price itself"
+    return "Volatility", unit.replace("sqrt(year)", "√year"), "volatility of the price itself"
 
 
 def _glossary(run: StorageRun) -> Table:
@@ -165,11 +166,13 @@ def _glossary(run: StorageRun) -> Table:
         ("Delta", gas, "change of value for a rise of 1 in one forward price, with decisions held"
          " fixed"),
         ("Discounted delta", gas, "delta of the present value; divided by the discount factor of "
-            "the month's settlement, it is the volume of futures"),
+            "the settlement of the month, it is the volume of futures"),
         ("Intrinsic", gas, "volumes of the best plan fixed today on the forward curve"),
-        ("Delta through the smooth rules", gas, "with the policy reacting; a diagnostic"),
+        ("Delta through the smooth rules", gas, "delta under the smooth rules, with the policy "
+            "reacting; a diagnostic"),
         _volatility(run),
         ("±", "", "half of the 95 % interval of an estimate, simulation error only"),
-        ("Cycles", "", "volume injected over the life, divided by the working volume"),
+        ("Cycles", "", "volume injected over the life of the contract, divided by the working "
+            "volume"),
     ]  # fmt: skip
     return Table([("Term", ""), ("Unit", ""), ("Meaning", "")], rows, "Terms and units", 3)

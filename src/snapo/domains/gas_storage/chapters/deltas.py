@@ -25,8 +25,8 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 SIGN = (
-    "A positive delta is a month in which the storage is long (it will withdraw): the hedge "
-    "sells that volume of futures. For a negative delta the hedge buys the volume."
+    "In a month with a positive delta the storage is long (it will withdraw): the hedge sells that "
+    "volume of futures. If the delta is negative, the hedge buys the volume."
 )
 
 
@@ -51,10 +51,11 @@ class DailyDeltas:
 
 @dataclass(frozen=True)
 class MonthDelta:
-    """The delta of a delivery month, `month` as "2021-04"; fields as in `DailyDeltas`.
+    """The delta of a delivery `month`, such as "2021-04"; other fields as in `DailyDeltas`.
 
     - `sampling`, `policy`: the parts of the half-width of the discounted interval; `source`: see
-      `solver.derivatives.interval.Reported`; `smooth`: through the policy's reaction.
+      `solver.derivatives.interval.Reported`; `smooth`: the delta under the smooth rules, with the
+      policy reacting.
     """
 
     month: str
@@ -139,9 +140,9 @@ def measure(run: StudyRun) -> CurveDeltas:
 def futures_along(
     delta: Reported, weights: np.ndarray, discount: np.ndarray
 ) -> tuple[float, float, float]:
-    """The derivative along `weights` of the numbers of a curve before discounting, and its 95 %
-    interval: the volume of futures that hedge it. `discount` [T]: discount factors of the payments
-    of the days."""
+    """The undiscounted derivative along `weights` of the numbers of a curve, and its 95 % interval:
+    the volume of futures that hedges it. `discount` [T]: discount factors of the payments of the
+    days."""
     rate = np.ones(delta.value.size)
     rate[: len(discount)] = discount
     futures = delta.along(weights / rate)
@@ -164,7 +165,7 @@ def _profile(run: StudyRun, daily: DailyDeltas) -> tuple[tuple[str, ...], Iterab
 
 
 def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
-    """Deltas by delivery month with intervals, against the intrinsic volumes."""
+    """Deltas by delivery month with their intervals, next to the intrinsic volumes."""
     months = deltas.deltas_monthly
     if not any(np.isfinite(x.undiscounted) for x in months):
         return [why_missing(run, DELTAS.name)]
@@ -172,17 +173,17 @@ def show(run: StorageRun, deltas: CurveDeltas) -> Sequence[Block]:
     alt = f"Bars of the delta per delivery month in {run.volume}: " + ", ".join(bars) + "."
     svg = draw("deltas-by-month", alt, month_painter(run, months), 280)
     caption = (
-        f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % interval, sampling"
-        " error and error of the policy together. The sum over the months is not the gas in store:"
-        " the rule buys at low prices and sells at high ones, and each volume is weighted by its"
-        " price over the forward price."
+        f"Volumes to trade in futures (undiscounted). {SIGN} Whiskers: 95 % intervals of the "
+        "sampling error and the error of the policy together. The sum over the months is not the "
+        "gas in store: the rule buys at low prices and sells at high ones, and each volume is "
+        "weighted by the ratio of its price to the forward price."
     )
     days = _daily(run, deltas.deltas_daily)
     return [Chart(svg, caption), _month_table(run, months), *days, _parts_table(run, months)]
 
 
 def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[Axes], None]":
-    """Draws the monthly deltas into one `Axes`; also used for the separate picture."""
+    """Draws the monthly deltas into one `Axes`; it is also used for the separate picture."""
     columns = [(x.undiscounted, x.half_width, x.intrinsic) for x in months]
     values, halves, intrinsic = np.array(columns, np.float64).T
     options = {
@@ -195,7 +196,8 @@ def month_painter(run: StorageRun, months: Sequence[MonthDelta]) -> "Callable[[A
 
 
 def _month_labels(months: Sequence[str]) -> list[str]:
-    """ "Apr", or every second, third … where there are many; the year where a new one begins."""
+    """ "Apr" for each month, or for every second, third … if there are many; with the year where a
+    year begins."""
     step = next((step for step in (1, 2, 3, 6, 12) if len(months) <= 18 * step), 24)
     labels, last = [""] * len(months), ""
     for i in range(0, len(months), step):
@@ -227,7 +229,8 @@ def _month_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
 
 
 def _parts_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
-    """What the intervals are made of, and how the deltas were before the end of training."""
+    """The parts of the intervals, the change of the deltas late in training, and the deltas under
+    the smooth rules."""
     names = ("discounted", "moved", "smooth")
     digits = decimals([getattr(x, name) for x in months for name in names], 4)
     rows = [
@@ -246,7 +249,7 @@ def _parts_table(run: StorageRun, months: Sequence[MonthDelta]) -> Table:
     caption = (
         "Deltas of the present value; the two parts of the half-width of their 95 % intervals; "
         "their change in the second half of training (a diagnostic: the interval includes the "
-        "error of the policy); and the deltas through the policy's reaction"
+        "error of the policy); and the deltas under the smooth rules, with the policy reacting"
     )
     head = [("Delivery", ""), *((name, run.volume) for name in heads)]
     folded = "Discounted deltas, parts of the intervals, change in training"

@@ -26,10 +26,9 @@ from ..setup import case_of
 FILE = "gamma.csv"
 TEXT = (
     "Change of the delta of one product if the price of another one rises by 1 on all its days, "
-    "with the decisions that are then the best. The diagonal is the change of a delta with its own "
-    "price: this is the amount by which a hedge has to be adjusted. Each number is the mean of "
-    "two estimates, from "
-    "a bump of either product."
+    "with the decisions that are best at the new prices. The diagonal is the change of a "
+    "delta if its own price rises: this is the amount by which a hedge has to be adjusted. Each "
+    "number is the mean of two estimates, one from a bump of each of the two products."
 )
 SCALED = (
     "The last column of the table by product is the change of each delta if all prices rise by "
@@ -44,8 +43,8 @@ class GammaProduct:
 
     - `first`, `last`: days of delivery within the contract; `price`: mean forward price; `bump`:
       the bump of the price.
-    - `gamma`, `standard_error`: the diagonal element and its error. `scaled`: change of the delta
-      if all prices rise by 1 %, with `scaled_error`.
+    - `gamma`, `standard_error`: the diagonal element and its error. `scaled`: the change of the
+      delta if all prices rise by 1 %, with the error `scaled_error`.
     """
 
     product: str
@@ -64,7 +63,8 @@ class GammaPair:
     """The second derivative with respect to the prices of two products, discounted.
 
     - `standard_error`: the sampling error, increased by the bias of the bump; `policy`: half of the
-      difference of both estimates beyond its sampling error, by which the policy may be wrong.
+      difference between the two estimates, beyond its sampling error; the error of the policy may
+      cause it.
     """
 
     product: str
@@ -76,7 +76,8 @@ class GammaPair:
 
 @dataclass(frozen=True)
 class ProductGammas:
-    """The products in the order of delivery, and each pair of them once; on `paths` paths."""
+    """The products in the order of delivery, and each pair of them once; estimated on `paths`
+    paths."""
 
     products: tuple[GammaProduct, ...] = ()
     pairs: tuple[GammaPair, ...] = ()
@@ -141,7 +142,7 @@ def measure(run: StudyRun) -> ProductGammas:
 
 
 def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
-    """A map of all pairs, a table by product, and one of all pairs."""
+    """A map of all pairs, a table by product, and a table of all pairs."""
     products, pairs = result.products, result.pairs
     if not products:
         return [why_missing(run, GAMMA.name)]
@@ -152,7 +153,7 @@ def show(run: RunFiles, result: ProductGammas) -> Sequence[Block]:
         Column("Price", "price", digits=4),
         Column("Bump", "bump", digits=3),
         Column("Gamma", lambda x: WithError(x.gamma, x.standard_error), unit),
-        Column("All prices 1 % up", lambda x: WithError(x.scaled, x.scaled_error),
+        Column("All prices + 1 %", lambda x: WithError(x.scaled, x.scaled_error),
                result.volume_unit),
     ]  # fmt: skip
     of_pairs = [

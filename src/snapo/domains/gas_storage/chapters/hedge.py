@@ -30,12 +30,12 @@ UNHEDGED, PLAN, SOLD = "None", "Today's plan", "Today's deltas"
 TEXT = (
     "Cash flow of the contract and of its hedge, both decided without foresight, on the same "
     "simulated paths. Volumes are sold forward after the flow of a day; delivery settles at the "
-    "spot price, and each unit traded costs half the bid-offer. The share not hedged is the "
-    "variance divided by that of the contract without a hedge."
+    "spot price, and each unit traded costs half the bid-offer. The variance not "
+    "hedged is the variance with the hedge, divided by the variance without a hedge."
 )
 BY_PRODUCT = (
-    "How much of the variance is left with the positions in one product only, and with the "
-    "positions in all other products."
+    "The share of the variance that is left if only the positions in this product are held, and if "
+    "all positions of the hedge except these are held."
 )
 
 
@@ -45,8 +45,8 @@ class HedgeRow:
 
     - `value_at_risk`, `expected_shortfall`: the mean minus the 5 % quantile, and the mean minus the
       mean of the paths below this quantile.
-    - `not_hedged`: the variance divided by that of the contract without a hedge; `traded`: mean
-      volume of all trades; `cost`: the present value of the bid-offer paid.
+    - `not_hedged`: the variance divided by the variance without a hedge; `traded`: the mean volume
+      of all trades; `cost`: the present value of the bid-offer paid.
     """
 
     hedge: str
@@ -66,8 +66,8 @@ class HedgeRow:
 
 @dataclass(frozen=True)
 class HedgeProduct:
-    """One product of a hedge: the share of the variance that is left with it only, and without it;
-    volume and cost of its trades."""
+    """One product of a hedge: the share of the variance that is left with this product only, and
+    without it; the volume and the cost of its trades."""
 
     hedge: str
     products: str
@@ -80,7 +80,7 @@ class HedgeProduct:
 
 @dataclass(frozen=True)
 class HedgeTables:
-    """All hedges on `paths` paths; `reason`: why there is none."""
+    """All hedges, simulated on `paths` paths; `reason`: the reason if there is none."""
 
     hedges: tuple[HedgeRow, ...] = ()
     by_product: tuple[HedgeProduct, ...] = ()
@@ -97,7 +97,7 @@ class SimulatedHedge(NamedTuple):
 
 
 def measure(run: StudyRun) -> HedgeTables:
-    """All hedges of a store on fresh paths; writes hedge.csv and hedge_products.csv."""
+    """Simulates all hedges of a store on fresh paths; writes hedge.csv and hedge_products.csv."""
     setup, case = run.setup, case_of(run.setup)
     products = case.products or usual_products(case.days, case.valuation_date)
     hedges = case.hedges or Hedges(usual_hedges(products.families))
@@ -160,7 +160,7 @@ def row_of(hedge: SimulatedHedge, money: np.ndarray, groups: np.ndarray) -> Hedg
 
 
 def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProduct]:
-    """The share of each product of a hedge in the variance."""
+    """The variances that are left with and without each product of a hedge."""
     total = money + sum(gain.gain for gain in hedge.gains.values())
     for family, (gain, cost, traded) in hedge.gains.items():
         shares = _share(money + gain, money), _share(total - gain, money)
@@ -170,7 +170,7 @@ def product_rows(hedge: SimulatedHedge, money: np.ndarray) -> Iterator[HedgeProd
 
 
 def _share(total: np.ndarray, money: np.ndarray) -> float:
-    """The variance over that of the money without a hedge."""
+    """The variance of `total`, divided by the variance of the money without a hedge."""
     unhedged = np.var(money)
     return float(np.var(total) / unhedged) if unhedged > 0 else np.nan
 
@@ -180,7 +180,7 @@ def _title(row: HedgeRow) -> str:
 
 
 def show(run: StorageRun, result: HedgeTables) -> Sequence[Block]:
-    """Deviations as bars, and the tables of all hedges and of their products."""
+    """Standard deviations as bars, and the tables of all hedges and of their products."""
     if not result.hedges:
         reason = f"No hedge was simulated: {result.reason}."
         return [Text(reason)] if result.reason else [why_missing(run, HEDGE.name)]

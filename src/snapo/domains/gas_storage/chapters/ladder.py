@@ -1,4 +1,4 @@
-"""Methods side by side, for a store."""
+"""Compares the methods for a store."""
 
 import abc
 from dataclasses import dataclass, replace
@@ -19,11 +19,11 @@ from ..references.intrinsic import intrinsic
 from ..setup import case_of, factors
 from .value import REFERENCE, measure_reference
 
-NO_LATTICE = "its prices have other risks than one or two Gaussian factors"
+NO_LATTICE = "its prices have risks other than one or two Gaussian factors"
 
 
 class ReferenceValue(Protocol):
-    """The exact value, None if there is none, and its error."""
+    """The exact value and its error; None if there is no exact value."""
 
     @property
     def dynamic_programming(self) -> float | None: ...
@@ -34,7 +34,7 @@ class ReferenceValue(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class ContractMethods(abc.ABC):
-    """The methods of a contract on common paths."""
+    """The methods of a contract, on common paths."""
 
     run: StudyRun
     paths: CommonPaths
@@ -47,7 +47,7 @@ class ContractMethods(abc.ABC):
     @cached_property
     @abc.abstractmethod
     def desk(self) -> DeskMethods:
-        """The methods that read [products]."""
+        """The methods that use the traded products."""
 
     @property
     def traded(self) -> DeskMethods:
@@ -65,7 +65,7 @@ class ContractMethods(abc.ABC):
 
     @abc.abstractmethod
     def least_squares(self) -> np.ndarray:
-        """[N]"""
+        """[N] the earnings of least-squares Monte Carlo on each path."""
 
     @abc.abstractmethod
     def reference(self) -> ReferenceValue:
@@ -83,7 +83,7 @@ class ContractMethods(abc.ABC):
         return np.concatenate(spots, axis=-1), np.concatenate(states, axis=-1)
 
     def policy(self) -> np.ndarray:
-        """[N] the earnings of the policy minus its penalties, whose mean is zero."""
+        """[N] the earnings of the policy minus its penalties, which have mean zero."""
 
         def charged(draws, rollout) -> np.ndarray:
             return self.relaxation.charged(rollout, draws, self.scale)
@@ -102,22 +102,26 @@ class ContractMethods(abc.ABC):
         return self.paths.joined(lambda draws, rollout: self.relaxation.best(rollout, draws, scale))
 
     def measured(self) -> MethodLadder:
-        """All methods; the bound comes first, and its penalty is shared by the others."""
+        """All methods; the bound comes first, and the others use its penalty too."""
         methods = [
-            ValuationMethod(ladder.UPPER, "foresight minus a penalty", lambda: self.best(1.0)),
             ValuationMethod(
-                ladder.FORESIGHT, "each path known from the start", lambda: self.best(0.0)
+                ladder.UPPER, "perfect foresight, minus a penalty", lambda: self.best(1.0)
+            ),
+            ValuationMethod(
+                ladder.FORESIGHT,
+                "perfect foresight: each path is known from the start",
+                lambda: self.best(0.0),
             ),
             ValuationMethod(ladder.POLICY, "the policy of this run", self.policy),
             ValuationMethod(ladder.BY_DAY, "all flows fixed today", self.by_day),
             ValuationMethod(
                 ladder.IN_PRODUCTS,
-                "the same, with equal volumes on all days of a product, minus the spread",
+                "flows fixed today, equal on all days of a product, minus the bid-offer",
                 lambda: Estimated(self.traded.intrinsic()),
             ),
             ValuationMethod(
                 ladder.ROLLING,
-                "planned again each day, minus the spread",
+                "planned again each day in traded products, minus the bid-offer",
                 lambda: self.traded.rolling(),
             ),
             ValuationMethod(ladder.LEAST_SQUARES, self.regressed, self.least_squares),
@@ -161,7 +165,7 @@ class StoreMethods(ContractMethods):
 
 
 def measure(run: StudyRun) -> MethodLadder:
-    """Every method of a store."""
+    """Applies every method to a store."""
     return StoreMethods(run, ladder.common_paths(run)).measured()
 
 

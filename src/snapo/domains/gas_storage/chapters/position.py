@@ -32,7 +32,7 @@ TRIGGERS = (("withdrawal", "Withdraw above", "withdraw"), ("injection", "Inject 
 
 @dataclass(frozen=True)
 class MeanBand:
-    """The mean over paths by step, with the 5 and 95 % quantiles."""
+    """The mean over paths at each step, with the 5 and 95 % quantiles."""
 
     mean: Floats = floats()
     p05: Floats = floats()
@@ -41,13 +41,13 @@ class MeanBand:
 
 @dataclass(frozen=True)
 class LowHigh:
-    """Two inventories by day, the lower and the higher one."""
+    """The lower and the higher of two inventories on each day."""
 
     low: Floats = floats()
     high: Floats = floats()
 
     def until(self, length: int) -> tuple[np.ndarray, np.ndarray] | None:
-        """The first `length` of both; None if there are none."""
+        """The first `length` days of both; None if there are none."""
         return (self.low[:length], self.high[:length]) if self.low.size else None
 
 
@@ -64,10 +64,10 @@ class Position:
     """The store over its T decision days, in the units of the contract.
 
     - `inventory` [T + 1]: at the start of every day and at the end; `flow` [T]: net injection.
-    - `trigger_injection`, `trigger_withdrawal` [T]: spot prices below and above which to act, at
-      the mean inventory of the day.
-    - `reachable`, `limits` [T + 1]: inventories from which the contract can still be met, and those
-      that it allows.
+    - `trigger_injection`, `trigger_withdrawal` [T]: the spot prices below which to inject and above
+      which to withdraw, at the mean inventory of the day.
+    - `reachable`, `limits` [T + 1]: the inventories from which the contract can still be met, and
+      the inventories that it allows.
     """
 
     inventory: MeanBand = field(default_factory=MeanBand)
@@ -81,7 +81,7 @@ class Position:
 
 
 def measure(run: StudyRun) -> Position:
-    """The store under the trained policy; writes decisions.csv."""
+    """The store operated by the trained policy; writes decisions.csv."""
     setup, solution = run.setup, run.solution
     problem, case, policy = setup.problem, case_of(setup), policy_of(solution)
     horizon, steps = problem.simulator.horizon, problem.schedule.steps
@@ -112,13 +112,14 @@ def measure(run: StudyRun) -> Position:
 
 
 def working_volume(case: StorageCase) -> float:
-    """The widest span of the inventory limits."""
+    """The largest difference between the inventory limits of a day."""
     contract = case.contract
     return float(contract.max_inventory.used().max() - contract.min_inventory.used().min())
 
 
 def _by_price(problem: Problem, case: StorageCase, policy: StoragePolicy, levels: np.ndarray):
-    """Header and rows of decisions.csv: the first day's decision by spot price and inventory."""
+    """Header and rows of decisions.csv: the decision of the first day by spot price and
+    inventory."""
     forward = problem.schedule.steps.forward[:1]
     around = forward * np.linspace(0.5, 1.5, PRICES)
     if not case.model.proportional:
@@ -156,7 +157,8 @@ def _band(paths: np.ndarray) -> MeanBand:
 
 
 def show(run: StorageRun, position: Position) -> Sequence[Block]:
-    """The forward curve between the prices below which to inject and above which to withdraw."""
+    """The forward curve, with the price below which to inject and the price above which to
+    withdraw."""
     prices, days = run.numbers("forward", "forward"), run.days
     if prices is None or days is None:
         return [why_missing(run, POSITION.name)]
@@ -174,7 +176,8 @@ def show(run: StorageRun, position: Position) -> Sequence[Block]:
     svg = draw("curve-lines", alt, lambda axes: charts.lines(axes, when, lines, run.price))
     caption = (
         "Trigger prices are undiscounted spot prices at the expected inventory of the day: the"
-        " policy injects when spot is below the blue line and withdraws above the orange one."
+        " policy injects if the spot price is below the blue line, and withdraws if it is above the"
+        " orange line."
     )
     blocks: list[Block] = [Chart(svg, caption)]
     if len(lines) == 1:
@@ -183,7 +186,8 @@ def show(run: StorageRun, position: Position) -> Sequence[Block]:
 
 
 def inventory(run: StorageRun) -> Section:
-    """Expected inventory with its 5-95 % band, inside the reachable and the allowed ones."""
+    """The expected inventory with its 5-95 % band, within the reachable and the allowed
+    inventories."""
     title, short = "Inventory against its limits", "Inventory"
     position, days = POSITION.of(run), run.days
     if position is None or days is None or not position.inventory.mean.size:
@@ -210,9 +214,9 @@ def inventory(run: StorageRun) -> Section:
     )
     svg = draw("inventory-fan", alt, paint, height, rows)
     caption = (
-        "The grey area is all inventories from which the contract can still be met; the policy "
-        "cannot leave it. The lower chart is the mean flow of each day: withdrawals upwards, "
-        "injections downwards."
+        "The grey area contains all inventories from which the contract can still be met; the "
+        "policy cannot leave it. The lower chart is the mean flow of each day: withdrawals "
+        "upwards, injections downwards."
     )
     return Section("inventory", title, short, [Chart(svg, caption)])
 

@@ -17,11 +17,11 @@ from ..setup import case_of
 from .deltas import futures_along
 
 TEXT = (
-    "Change of the value if the price of one product rises by 1 on all its days. "
-    "Each day belongs to the shortest product that is traded on the valuation date, so that these "
-    "deltas sum to those by day. Undiscounted, they are the volumes of futures that hedge the "
-    "position: a positive volume is sold, and the volume per day is the same on each day of the "
-    "product."
+    "Change of the value if the price of one product rises by 1 on all its days. Each day belongs "
+    "to the shortest product that is traded on the valuation date, so that the sum of these "
+    "deltas equals the sum of the deltas by day. Undiscounted, they are the volumes of futures "
+    "that hedge the position: a positive volume is sold, and the volume per day is the same on "
+    "each day of the product."
 )
 
 
@@ -58,9 +58,10 @@ class ProductDeltas:
 def deltas_by_product(
     run: StudyRun, products: TradedProducts | None, curve: str, discount: np.ndarray
 ) -> ProductDeltas:
-    """The reported derivatives by day, summed; writes products.csv.
+    """The reported derivatives by day, summed for each product; writes products.csv.
 
-    `curve`: the name of the input of the forward prices, `discount` [T] of their payments.
+    `curve`: the name of the input of the forward prices; `discount` [T]: discount factors of the
+    payments.
     """
     table = run.solution.sensitivities
     if table is None or products is None:
@@ -106,8 +107,8 @@ def show(run: RunFiles, deltas: ProductDeltas) -> Sequence[Block]:
     ]
     unit = str(run.get("volume_unit", "units"))
     head = [("Product", ""), ("Delivery", ""), ("Delta", unit), ("95 % low", unit),
-            ("95 % high", unit), ("Volume a day", unit), ("Discounted", unit), ("± sampling", unit),
-            ("± policy", unit)]  # fmt: skip
+            ("95 % high", unit), ("Volume per day", unit), ("Discounted", unit),
+            ("± sampling", unit), ("± policy", unit)]  # fmt: skip
     return [Text(TEXT), Table(head, cells, texts=2)]
 
 

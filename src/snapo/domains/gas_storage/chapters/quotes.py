@@ -1,4 +1,4 @@
-"""Deltas by quoted product: of a curve that is made from quotes."""
+"""Deltas by quoted product, for a curve that is made from quotes."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -52,7 +52,7 @@ class QuoteDeltas:
 
 
 def measure(run: StudyRun) -> QuoteDeltas:
-    """The reported derivatives by day, carried to the quotes; writes quotes.csv."""
+    """The reported derivatives with respect to the quotes, from those by day; writes quotes.csv."""
     case, table = case_of(run.setup), run.solution.sensitivities
     quoted = case.quotes
     if table is None or quoted is None:

@@ -1,8 +1,9 @@
 """Other sensitivities: vegas, shadow prices of the capacities, costs and rates, and sliders.
 
-At a limit the value of one unit more and of one unit less differ: a store that is exactly full can
-use more room, and loses gas if its room is reduced. Both shadow prices come from the exact
-simulator with the decisions held fixed, on the same paths, one unit up and one unit down.
+At a limit the value of one unit more differs from that of one unit less: a store that is exactly
+full can use more room, and loses gas if its room is reduced. There are therefore two shadow prices,
+for one unit up and one unit down. Both come from the exact simulator with the decisions held fixed,
+on the same paths.
 """
 
 import math
@@ -31,8 +32,8 @@ UNITS = 1.0  # of the capacity; small against it, large against rounding
 # Families of inputs; every input has one.
 CURVE, RATE, MODEL = "price", "interest rate", ("volatility", "price model")
 CAVEAT = (
-    "First order only, with the decisions held fixed: the change is each shift times its reported"
-    " derivative, without an interval."
+    "First order only, with the decisions held fixed: the change is the sum of the shifts, each"
+    " times its reported derivative, without an interval."
     " {bound}For other inputs the curvature may have either sign. For large moves,"
     " change the case and solve again."
 )
@@ -46,7 +47,7 @@ BOUND = (
 
 @dataclass(frozen=True)
 class ShadowPrice:
-    """The value of one unit more of a capacity (`up`), and of its last unit (`down`)."""
+    """The value of one more unit of a capacity (`up`), and of its last unit (`down`)."""
 
     name: str
     up: Number = np.nan
@@ -56,7 +57,8 @@ class ShadowPrice:
 
 @dataclass(frozen=True)
 class ParallelShift:
-    """The derivative along a rise of all numbers of an input by one, and its 95 % interval."""
+    """The derivative with respect to a rise of all numbers of an input by one, and its 95 %
+    interval."""
 
     input: str
     value: Number = np.nan
@@ -102,7 +104,7 @@ def _shifts(table: Sensitivities | None) -> Iterator[ParallelShift]:
 
 
 class _Replay:
-    """Values of the exact simulator under recorded decisions, with inputs shifted."""
+    """Values from the exact simulator with recorded decisions and shifted inputs."""
 
     def __init__(self, setup: Setup, policy: Policy):
         self.problem, self.engine = on_independent_paths(setup), setup.engines.evaluate
@@ -145,7 +147,8 @@ def risk(run: StorageRun) -> Section:
 
 
 def _vegas(run: StorageRun) -> Table | Missing:
-    """The model's numbers; those of more than a few labels (volatility by day) in parallel."""
+    """The numbers of the model; an input with many labels (such as a volatility by day) is shifted
+    in parallel."""
     lines = run.group(*MODEL)
     if not lines:
         return Missing("This run has no vegas (supplied price paths have no model parameters).")
@@ -183,11 +186,11 @@ def _others(run: StorageRun) -> Table | None:
 
 
 def _row(run: StorageRun, members: list[Sensitivity]) -> tuple[str, ...]:
-    """One line for a number, or for several of one input that move together.
+    """One row for a number, or for several numbers of one input that move together.
 
-    Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row.
-    The half-width of a sum is not the sum of half-widths: that of an input moved as a whole is a
-    `ParallelShift`. It shows how many digits are significant.
+    Costs, rates and capacities differ in size by powers of ten: decimals are chosen row by row. The
+    half-width of a sum is not the sum of the half-widths; for an input that moves as a whole it
+    comes from its `ParallelShift`. The half-width decides how many digits are shown.
     """
     first, prices = members[0], SHADOW_PRICES.of(run)
     shifts = {x.input: x for x in prices.parallel_shifts} if prices else {}
@@ -247,7 +250,8 @@ def sliders(run: StorageRun) -> Section:
 
 
 def _curve_sliders(run: StorageRun) -> tuple[list[Slider], list[Slider]]:
-    """The whole curve; its delivery months, or quarters where there are many months."""
+    """A slider for the whole curve, and sliders for its delivery months, or for quarters if there
+    are many months."""
     months: dict[str, float] = defaultdict(float)
     for sensitivity in run.sensitivities:
         if run.input_number(sensitivity.input).group == CURVE:
@@ -276,7 +280,8 @@ def _quarters(months: dict[str, float]) -> dict[str, float]:
 
 
 def _model_sliders(run: StorageRun) -> list[Slider]:
-    """Volatilities and rates in the unit of their trade; a series by delivery day as a whole."""
+    """Sliders for volatilities and rates in the unit in which they are traded; a series by delivery
+    day has one slider."""
     totals: dict[tuple[str, str], float] = defaultdict(float)
     for item in run.group("volatility", RATE):
         # A label of ten letters is a delivery day.
@@ -288,7 +293,7 @@ def _model_sliders(run: StorageRun) -> list[Slider]:
 
 
 def _slider(metadata: ReportedInput, label: str, slope: float) -> Slider:
-    """A slider over ten standard moves to either side; `slope` is per unit of the input."""
+    """A slider over `SPAN` standard moves to either side; `slope` is per unit of the input."""
     span = SPAN * metadata.trade_move
     step = span / 20
     slope *= metadata.move / metadata.trade_move

@@ -1,4 +1,4 @@
-"""The files of a storage run as its report reads them, with the units of gas."""
+"""The files of a storage run, as the report of the run reads them, with the units of gas."""
 
 from dataclasses import dataclass
 from functools import cached_property
@@ -16,7 +16,7 @@ SPAN = 10
 
 @dataclass(frozen=True)
 class InputEntry:
-    """An input in run.json: its metadata in its own unit."""
+    """An input in run.json: its metadata, in the unit of the input."""
 
     words: str = ""
     group: str = ""
@@ -33,7 +33,7 @@ ENTRIES = TypeAdapter(dict[str, InputEntry])
 class ReportedInput:
     """The metadata of an input; see `snapo.problem.inputs.Input`.
 
-    `move` is in the input's unit, and `trade_move` is the same move in the display unit,
+    `move` is in the unit of the input, and `trade_move` is the same move in the display unit,
     `trade_unit`.
     """
 
@@ -45,14 +45,14 @@ class ReportedInput:
     trade_unit: str
 
     def title(self, label: str = "") -> str:
-        """The name for a table, "Spot volatility", with the label of one number."""
+        """The name in a table, such as "Spot volatility", with the label of one number."""
         text = self.name.replace("_", " ").replace(".", " ").strip().capitalize()
         return f"{text}, {label}" if label else text
 
 
 @dataclass(frozen=True)
 class StorageRun(RunFiles):
-    """A run folder with the units of the contract."""
+    """A run folder, with the units of its contract."""
 
     @cached_property
     def inputs(self) -> dict[str, InputEntry]:
@@ -78,7 +78,7 @@ class StorageRun(RunFiles):
 
     @property
     def days(self) -> list[str] | None:
-        """Decision days [T], ISO."""
+        """The decision days [T], as ISO dates."""
         return self.get("days") or self.profile.get("date") or None
 
     @property

@@ -27,7 +27,7 @@ ROWS = 16  # of the table, about
 
 @dataclass(frozen=True)
 class LevelDecision:
-    """The first day's decision at one inventory and the forward price.
+    """The decision of the first day at one inventory and the forward price.
 
     - `inject_below`, `withdraw_above`: trigger prices; `action`: "inject", "withdraw" or "hold";
       `volume`: the volume of the action, not negative.
@@ -45,7 +45,7 @@ class FirstDecision(LevelDecision):
     """The decision at the inventory in store, and in `ladder` at other inventories over the
     reachable range.
 
-    - `date`: the date of the first decision, ISO; `spot`: the price that it refers to.
+    - `date`: the ISO date of the first decision; `spot`: the spot price of the decision.
     - `marginal_value`: the marginal value of one more unit in store, from the adjoint; NaN without
       sensitivities.
     """
@@ -57,7 +57,8 @@ class FirstDecision(LevelDecision):
 
 
 def levels_of(schedule) -> tuple[float, np.ndarray]:
-    """The inventory in store, and some others over the first day's reachable interval."""
+    """The inventory in store, and other inventories in the interval that is feasible on the first
+    day."""
     here = float(schedule.constants.inventory)
     low, high = schedule.steps.low[0], schedule.steps.high[0]
     return here, np.unique(np.append(np.linspace(low, high, 11), here))
@@ -70,7 +71,8 @@ def first_decision(
     levels: tuple[float, np.ndarray],
     prices: Triggers,
 ) -> FirstDecision:
-    """The first day's decision; `levels`: see `levels_of`; `prices`: the triggers at them."""
+    """The decision of the first day; `levels`: see `levels_of`; `prices`: the trigger prices at
+    these levels."""
     now, ladder = _decisions(problem, policy_of(solution), levels, prices)
     # The network's price of gas is exact at the trigger only; the adjoint's everywhere.
     marginal = float("nan")
@@ -107,7 +109,8 @@ def _decisions(
 
 
 def today(setup: Setup, policy: StoragePolicy) -> Today:
-    """The first day's decision at the forward price, by inventory in store, for the live page."""
+    """The decision of the first day at the forward price, by inventory in store, for the live
+    page."""
     problem, case = setup.problem, case_of(setup)
     here, stock = levels_of(problem.schedule)
     prices = triggers(problem, policy, np.zeros(len(stock), int), stock)
@@ -130,7 +133,7 @@ def today(setup: Setup, policy: StoragePolicy) -> Today:
 
 def ladder(run: StorageRun, now: FirstDecision | None) -> Section:
     """The decision of today for every inventory, as a picture and as a table."""
-    title, short = "Today's ladder over inventory", "Today"
+    title, short = "Today's decision by inventory", "Today"
     if now is None or not now.ladder:
         return Section("today", title, short, [why_missing(run, "profile")])
     blocks: list[Block] = []
@@ -157,14 +160,14 @@ def _chart(run: StorageRun, now: FirstDecision) -> Chart:
     here = (now.inventory, now.spot)
     svg = draw(
         "today-ladder",
-        f"Trigger prices over inventory. At {run.gas(here[0])} and a spot of "
+        f"Trigger prices by inventory. At {run.gas(here[0])} and a spot of "
         f"{quantity(here[1], run.price, 2)} the action is {now.action or 'not specified'}.",
         lambda axes: charts.regions(axes, level, low, high, here, names, units),
         height=240,
     )
     caption = (
         "Below the lower line the policy injects, and above the upper line it withdraws. Between "
-        "them costs and fuel exceed the gain of a trade."
+        "the lines costs and fuel exceed the gain of a trade."
     )
     return Chart(svg, caption)
 

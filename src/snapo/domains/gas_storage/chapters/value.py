@@ -1,4 +1,4 @@
-"""The value of the contract: the same contract by several methods, and the spread of its cash."""
+"""The value of the contract by several methods, and the distribution of its cash flow."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -34,7 +34,8 @@ TITLE = "Value by method"
 
 @dataclass(frozen=True)
 class IntrinsicValue:
-    """The best plan against today's curve: its value, and net injections [T] by decision day."""
+    """The best plan at today's forward curve: its value, and the net injections [T] by decision
+    day."""
 
     value: Number
     net: Floats
@@ -42,14 +43,15 @@ class IntrinsicValue:
 
 @dataclass(frozen=True)
 class Reference:
-    """The exact value, and its remaining change on finer grids; None without an exact value."""
+    """The exact value, and the remaining change of this value on finer grids; both are None without
+    an exact value."""
 
     dynamic_programming: float | None = None
     dynamic_programming_error: float | None = None
 
 
 def intrinsic_chapter(problem: Problem, case: StorageCase) -> Chapter[IntrinsicValue]:
-    """The chapter "intrinsic value", which needs no training, of the bare contract."""
+    """The chapter "intrinsic value" of a contract, which needs no training."""
 
     def measure(run: StudyRun) -> IntrinsicValue:
         plan = intrinsic(problem.schedule, case.contract.ratchets.interpolation)
@@ -70,7 +72,7 @@ def measure_reference(run: StudyRun) -> Reference:
 
 @dataclass(frozen=True)
 class ContractValue:
-    """The value of the contract by one method; `note`: its meaning."""
+    """The value of the contract by one method; `note`: the meaning of this value."""
 
     name: str
     value: Number
@@ -91,7 +93,8 @@ class CashFlow:
 
 @dataclass(frozen=True)
 class ContractValues:
-    """The value ladder from the lowest to the highest value, and the spread of the earnings.
+    """The values from the lowest to the highest (the value ladder), and the distribution of the
+    earnings.
 
     - `break_even_fee`: the fee per unit of working volume, paid today, with which the contract has
       the value 0; NaN without a working volume.
@@ -118,14 +121,15 @@ def measure(run: StudyRun) -> ContractValues:
 
 
 def _ladder(run: StudyRun, solution: Solution) -> list[ContractValue]:
-    """Intrinsic, the starting rule, the trained policy, the reference, and after fixed costs."""
+    """The values: intrinsic, of the starting rule, of the trained policy, the reference, the bound,
+    and after fixed costs."""
     engine = run.setup.engines.evaluate
     starting = evaluate(
         on_independent_paths(run.setup), policy_of(solution).value_rule, paths=PATHS, engine=engine
     )
     plan, error = INTRINSIC.of(run), solution.standard_error
     ladder = [
-        ContractValue("Intrinsic", plan.value, None, "best fixed plan against today's curve")
+        ContractValue("Intrinsic", plan.value, None, "best plan fixed today, at the forward curve")
         if plan
         else ContractValue("Intrinsic", np.nan),
         _starting_value(run.setup, starting),
@@ -168,14 +172,14 @@ def _distribution(cash: np.ndarray) -> CashFlow:
 
 
 def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
-    """Every value of the same contract on the same curve, from the lowest to the best."""
+    """Every value of the same contract at the same curve, from the lowest to the highest."""
     values = result.value_of
     if not values:
         return [why_missing(run, VALUES.name)]
     digits, bars = decimals([x.value for x in values]), ladder_bars(run, values)
     caption = (
-        "Present values of the same contract on the same curve. The value of any policy without "
-        "foresight is a lower bound of the optimum."
+        "Present values of the same contract at the same forward curve. The value of any policy "
+        "without foresight is a lower bound on the optimum."
     )
     rows = [
         (x.name, x.note, number(x.value, digits), plus_minus(x.standard_error, digits))
@@ -191,7 +195,7 @@ def show(run: StorageRun, result: ContractValues) -> Sequence[Block]:
 
 
 def ladder_bars(run: StorageRun, values: Sequence[ContractValue]) -> list[charts.LadderBar]:
-    """The bars of the ladder; the bar of the headline's value is highlighted."""
+    """The bars of the ladder; the bar with the value of the headline is highlighted."""
     digits, headline = decimals([x.value for x in values]), run.result.value
     strong = next((i for i, x in enumerate(values) if x.value == headline), None)
     return [

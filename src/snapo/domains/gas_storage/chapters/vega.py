@@ -1,12 +1,12 @@
-"""Vega by parameter and delivery month: the derivative with respect to a month's volatility.
+"""Vega by parameter and delivery month: the derivative with respect to the volatility of a month.
 
-The volatility s(d) of a delivery day d is that which the price model gives its spot price: in
+The volatility s(d) of a delivery day d is the volatility of its spot price in the price model,
 
     S(d) = F(d) exp(s(d) f(d) - s(d)^2 var f(d) / 2)
 
-and the volatilities of all other days are unchanged. The vega of a month is the sum of the
-derivatives with respect to s(d) over its days, so that a volatility of all days has their sum as
-derivative.
+and the volatilities of all other days do not change. The vega of a month is the sum, over its days,
+of the derivatives with respect to s(d). The sum over all months is therefore the derivative with
+respect to a volatility of all days.
 """
 
 from collections.abc import Sequence
@@ -50,8 +50,8 @@ class MonthVega:
     - `month`: "2021-04", or "" for all months; `volatility`: the mean over its days.
     - `vega`, `standard_error`: the derivative with the decisions held fixed, per `unit` of the
       volatility, and its error.
-    - `points`: how many volatility points, or other units of a report, are one `unit`; `point`: the
-      name of these units.
+    - `points`: the number of volatility points, or other units of a report, in one `unit`; `point`:
+      the name of these units.
     """
 
     parameter: str
@@ -67,7 +67,8 @@ class MonthVega:
 
 @dataclass(frozen=True)
 class Vegas:
-    """The vegas by parameter, then by month, with the sum of each parameter last."""
+    """The vegas by parameter and month; the last entry of each parameter is the sum over its
+    months."""
 
     vega_by_month: tuple[MonthVega, ...] = ()
 
@@ -78,7 +79,7 @@ def volatilities(problem: Problem) -> list[str]:
 
 
 def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
-    """The vega of a run whose prices are on `dates`, one more than decisions; writes vega.csv."""
+    """The vega of a run with prices on `dates`, one date more than decisions; writes vega.csv."""
     setup, policy = run.setup, run.solution.policy
     table = run.solution.sensitivities
     problem = setup.problem
@@ -114,9 +115,9 @@ def vega_by_month(run: StudyRun, dates: Sequence[date]) -> Vegas:
 
 
 def by_date(problem: Problem, names: Sequence[str], count: int) -> Problem:
-    """The problem with these inputs only, in which each has a separate number for each of `count`
-    dates. A number that is used on several dates becomes one number of the same value for each
-    date (and for each factor, if there are several).
+    """The problem with only these inputs, each of which has a separate number for each of `count`
+    dates. A number that is used on several dates becomes one number of the same value for each date
+    (and for each factor, if there are several).
     """
     values = {name: entry.value for name, entry in problem.inputs_by_name.items()}
     wide: dict[str, np.ndarray] = {}
@@ -144,7 +145,7 @@ def measure(run: StudyRun) -> Vegas:
 
 
 def show(run: RunFiles, result: Vegas) -> Sequence[Block]:
-    """A row for each month, a column for each volatility."""
+    """A table with a row for each month and columns for each volatility."""
     rows = result.vega_by_month
     if not rows:
         return [why_missing(run, VEGA.name)]

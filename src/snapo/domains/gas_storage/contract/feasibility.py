@@ -1,8 +1,10 @@
-"""Whether a contract can be met: the inventories that can be in store, day by day, as exact sets.
+"""Whether the limits of a contract can be met: the inventories that can be in store, day by day, as
+exact sets.
 
-The set of inventories that can be in store at the start of a day is a few intervals; the rates are
-linear (or constant) between ratchet rows, so the set of the next day follows exactly. When it is
-empty, that day has the first constraint that no decision can meet. `reachable` looks backwards.
+The inventories that can be in store at the start of a day form a few intervals. Since the rates are
+linear (or constant) between ratchet rows, the set of the next day is computed exactly. The first
+day with an empty set has the first constraint that no decision can meet. `reachable` computes sets
+backwards.
 """
 
 from bisect import bisect_right
@@ -21,7 +23,7 @@ FlowInterval = tuple[float, float]
 
 @dataclass(frozen=True)
 class FeasibleDay:
-    """One day of the contract: ratchet rows (outages applied), forced flows, and loss."""
+    """One day of the contract: its ratchet rows (with outages applied), forced flows and loss."""
 
     levels: list[float]
     withdrawal: list[float]
@@ -32,7 +34,8 @@ class FeasibleDay:
     loss: float
 
     def rates(self, level: float, row: int | None = None) -> tuple[float, float]:
-        """Largest withdrawal and injection at an inventory, or those of a row of step ratchets."""
+        """The largest withdrawal and injection at an inventory, or those of a row of step
+        ratchets."""
         if row is None:
             row = max(bisect_right(self.levels, level) - 1, 0)
         if not self.linear or row == len(self.levels) - 1:
@@ -47,7 +50,8 @@ class FeasibleDay:
 
 @dataclass(frozen=True)
 class Corner:
-    """An inventory at the start of the day, and the maximum withdrawal and injection there."""
+    """An inventory at the start of the day, and the maximum withdrawal and injection at this
+    inventory."""
 
     level: float
     withdrawal: float
@@ -55,7 +59,8 @@ class Corner:
 
 
 def check_feasible(case: StorageCase) -> None:
-    """Raises `CaseError` with the first date and constraint that no decisions can keep."""
+    """Raises `CaseError` with the first date on which no decisions can keep a constraint, and this
+    constraint."""
     forced = case.contract.min_injection.used(), case.contract.min_withdrawal.used()
     for t in np.flatnonzero((forced[0] > 0) & (forced[1] > 0))[:1]:
         message = (
@@ -70,7 +75,7 @@ def attainable(case: StorageCase) -> list[list[FlowInterval]]:
     """The inventories that can be in store at the start of each day and on the end date, [T + 1].
 
     They are computed forwards from the initial inventory; the rule for the end date applies only to
-    the last ones.
+    the last set.
 
     **Raises:** `CaseError` if there are none.
     """
@@ -88,7 +93,7 @@ def attainable(case: StorageCase) -> list[list[FlowInterval]]:
 
 
 def slack(case: StorageCase) -> float:
-    """The round-off of a volume that is allowed at a limit that is met exactly."""
+    """The round-off that is allowed at a limit that is met exactly."""
     return 1e-9 * max(1.0, float(case.contract.max_inventory.used().max()))
 
 
@@ -128,7 +133,7 @@ def _pieces(day: FeasibleDay, interval: FlowInterval) -> Iterator[tuple[Corner, 
 
 
 def _moves(day: FeasibleDay, interval: FlowInterval, tolerance: float) -> Iterator[FlowInterval]:
-    """The possible inventories at the end of the day, from anywhere in `interval`."""
+    """The inventories at the end of the day that can be reached from `interval`."""
     for piece in _pieces(day, interval):
         selected = _able(day, piece, tolerance)
         if selected is None:
@@ -148,7 +153,8 @@ def _moves(day: FeasibleDay, interval: FlowInterval, tolerance: float) -> Iterat
 
 
 def _able(day: FeasibleDay, piece: tuple[Corner, Corner], tolerance: float):
-    """The part of a piece whose rates allow the day's forced flow; None if none does."""
+    """The part of a piece in which the rates allow the forced flow of the day; None if there is
+    none."""
     left, right = piece
     if day.min_injection > 0:
         spare = [corner.injection - day.min_injection + tolerance for corner in piece]

@@ -1,10 +1,11 @@
 """The inventories from which a contract can be met, as one interval of each day.
 
-These are for policies, and differentiable: backwards from the end, an inventory is feasible when
-some flow reaches a feasible one. Between ratchet rows every condition is linear in the inventory,
-so the feasible ones are an interval there; neighbouring intervals are joined and the longest is
-selected. That is the complete reachable set where I - withdrawal(I) and I + injection(I) do not
-decrease; with step ratchets it may be only the largest interval of feasible points.
+The intervals are for policies, and differentiable. Backwards from the end, an inventory is feasible
+if a feasible inventory can be reached from it by a flow. Between ratchet rows every condition is
+linear in the inventory, so that the feasible inventories form an interval there. Neighbouring
+intervals are joined, and the longest is selected. This interval is the complete set if I -
+withdrawal(I) and I + injection(I) do not decrease; with step ratchets it may be only the largest
+interval of the set.
 
 JAX evaluates the formulas in a simulator, NumPy in a check of a case.
 """
@@ -36,9 +37,10 @@ def reachable(
     end_high: Any,
     interpolation: str,
 ) -> tuple[Float[Array, " T+1"], Float[Array, " T+1"]]:
-    """Smallest and largest inventory at the start of every day, and on the end date.
+    """The smallest and the largest inventory at the start of every day, and on the end date.
 
-    A day without a feasible continuation has least > greatest (and so have all days before it).
+    If a day has no feasible continuation, the smallest is above the largest on this day and on all
+    days before it.
     """
     tolerance = TOLERANCE * xp.max(xp.abs(limits.maximum), initial=1.0)
 
@@ -50,7 +52,7 @@ def reachable(
 
 
 def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
-    """The longest interval of one day from which that of the next day can be reached."""
+    """The longest interval of a day from which the interval of the next day can be reached."""
     next_low, next_high = successor
     # A row at a limit is the limit: with clip each would take half of the derivative.
     inner = xp.where(day.levels <= day.minimum, day.minimum, day.levels)
@@ -97,7 +99,7 @@ def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates):
 
 
 def _rates(day: InventoryLimits, inventory, interpolation: str):
-    """Withdrawal and injection at these inventories; step rates are those of the piece."""
+    """Withdrawal and injection at these inventories; with step ratchets, those of the piece."""
     if interpolation == "linear":
         return _between(inventory, day.levels, xp.stack([day.withdrawal_rate, day.injection_rate]))
     # Piece j lies between rows j - 1 and j; below the first row that row holds.
@@ -108,7 +110,8 @@ def _rates(day: InventoryLimits, inventory, interpolation: str):
 def _between(inventory, levels, rates):
     """Rates [2, n] at inventories [n], linear between the rows and constant beyond them.
 
-    As `interp` of each, in a third of the operations: `prepare` is soon compiled.
+    The result is that of `interp` for each, with a third of the operations, so that `prepare`
+    compiles faster.
     """
     if levels.shape[0] == 1:
         return xp.broadcast_to(rates, (2, inventory.shape[0]))
@@ -122,7 +125,7 @@ def _between(inventory, levels, rates):
 
 
 def _longest(low, high, some, touches):
-    """Joins neighbouring pieces that touch, and keeps the longest run."""
+    """Joins neighbouring pieces that touch, and selects the longest joined piece."""
     enters, leaves = touches
     joined = xp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
     # A run begins at its last piece that is not joined to the one before.

@@ -1,4 +1,5 @@
-"""A gas-storage case as resolved data: frozen records of NumPy arrays, with all dates resolved.
+"""A gas-storage case after reading: frozen records of NumPy arrays, in which dates are numbers of
+days.
 
 T is the number of decision days (`StorageCase.days`), K the number of ratchet rows of a day (1
 without ratchets). Index T is the end date. Days are
@@ -30,9 +31,9 @@ from ..prices.process import PriceProcess
 
 
 class EndTerms(NamedTuple):
-    """Value of the remaining inventory: linear between `levels`, plus `fraction` of its value at
-    the spot price. `levels`, `values` [M] are zeros without a table of values; undiscounted, in
-    currency.
+    """The value of the remaining inventory: linear between `levels`, plus `fraction` times its
+    value at the spot price. `levels`, `values` [M] are zeros without a table of values;
+    undiscounted, in currency.
     """
 
     levels: Float[Array | np.ndarray, " M"]
@@ -52,7 +53,7 @@ class EndRule(TreeRecord):
 
     @property
     def owed(self) -> float | None:
-        """The inventory that must be in store; None if any is allowed."""
+        """The inventory that must be in store; None if any inventory is allowed."""
         return None
 
     @property
@@ -61,21 +62,22 @@ class EndRule(TreeRecord):
         return False
 
     def interval(self, at: Callable[[Any], Any], low: Any, high: Any) -> tuple[Any, Any]:
-        """The inventories allowed on the end date, out of those within its limits; `at`: the
-        numbers of an input where they are used."""
+        """The inventories that are allowed on the end date, from those within its limits; `at`:
+        returns the numbers of an input in the form in which they are used."""
         return low, high
 
     @abc.abstractmethod
     def terms(self, at: Callable[[Any], Any]) -> EndTerms:
-        """The numbers of the value, for the schedule."""
+        """The numbers of the value at the end, for the schedule."""
 
     @abc.abstractmethod
     def end_value(self, terms: EndTerms, inventory: Array, price: Callable[[], Array]) -> Array:
-        """Value of the remaining inventory on one path; `price` gives that day's spot price."""
+        """The value of the remaining inventory on one path; `price` returns the spot price of that
+        day."""
 
     @abc.abstractmethod
     def value_known(self, inventory: float, price: float) -> float:
-        """The same value in NumPy at a known price and inventory: no decision is left."""
+        """The same value in NumPy, at a fixed price and inventory, if no decision is left."""
 
 
 class LevelAtEnd(EndRule):
@@ -103,8 +105,8 @@ class LevelAtEnd(EndRule):
 
 class PriceAtEnd(EndRule):
     """A unit of gas left on the end date is paid on that date at `fraction` of the spot price.
-    `fraction` is one number, index []. If it is 0 the gas left is worthless, and the end date
-    needs no price.
+    `fraction` is one number, index []. If it is 0, the gas left has no value, and no price is
+    needed on the end date.
     """
 
     fraction: CaseInput
@@ -143,12 +145,12 @@ class ValueAtEnd(EndRule):
 
 
 class Ratchets(TreeRecord):
-    """The rates at which gas may move, by day and by inventory at the start of the day.
+    """The rates at which gas may flow, by day and by inventory at the start of the day.
 
-    Rows of a day rise in inventory; a block with fewer than K rows repeats its last one. With
-    "linear" the rates are interpolated between rows, with "step" those of the row at or below are
-    used. Without ratchets, `max_injection` and `max_withdrawal` are one row (K = 1) at inventory 0
-    that applies to any level.
+    The rows of a day rise in inventory; a day with fewer than K rows repeats its last row. With
+    "linear" the rates are interpolated between rows; with "step" the rates of the row at or below
+    the inventory apply. Without ratchets, `max_injection` and `max_withdrawal` are one row (K = 1)
+    at inventory 0 that applies to any level.
 
     - `inventory`: levels in volume, index [T, K].
     - `withdrawal`, `injection`: the largest volume per day, not negative, before outages, index [T,
@@ -176,7 +178,7 @@ class Contract(TreeRecord):
     - `injection_fuel`, `withdrawal_fuel`: fraction of the volume, paid at the spot price, index
       [T].
     - `inventory_loss`: fraction of the inventory per day, index [T].
-    - `inventory_cost`: currency per unit and day, paid on the day, index [T].
+    - `inventory_cost`: currency per unit in store and day, paid on the day, index [T].
     - `fixed_costs`: amounts in currency, without those before the valuation date, index [n];
       `fixed_cost_day`: [n] the day on which each is paid.
     """
@@ -203,16 +205,16 @@ class Contract(TreeRecord):
 
 
 class GasMarket(TreeRecord):
-    """Prices and discounting, seen from the valuation date.
+    """Forward prices and interest rates on the valuation date.
 
     - `forward_curve`: one price per decision day, currency per unit, labelled by the day, index
-      [T]; where `StorageCase.has_end_price`, one more for the end date, index [T + 1].
+      [T]; if `StorageCase.has_end_price`, one more price for the end date, index [T + 1].
     - `zero_rate`: continuous rates, Act/365, index [n] of all nodes; linear in days between nodes,
       flat outside.
     - `zero_rate_day`: [n] integer days of the nodes, strictly rising (one 0 for a plain number).
     - `gas_day`: [T] day on which the gas of day t is paid.
 
-    A payment on day d is discounted by exp(-r(d) d / 365), and not at all where d <= 0.
+    A payment on day d is discounted by exp(-r(d) d / 365), and not discounted if d <= 0.
     """
 
     forward_curve: CaseInput
@@ -228,7 +230,8 @@ class StorageCase:
     - `file`: the case file; `title`, `volume_unit`, `currency`: for reports.
     - `days`: [T] decision dates, from `start` (or the valuation date, or the day after it) to the
       day before `end`; empty if none is left after the valuation date.
-    - `day`: [T] the same as integer days since the valuation date; `end_day`: that of the end date.
+    - `day`: [T] the same dates as integer days since the valuation date; `end_day`: the end date in
+      these days.
     - `expired`: whether the valuation date is after the end date; the value is then zero.
     - `notes`: remarks for the user of the case, one sentence each.
     - `quotes`: the quotes from which the forward curve is made; None for a curve by day or month.
@@ -274,15 +277,16 @@ class StorageCase:
 
 
 def storage_inputs(case: StorageCase) -> dict[str, Input]:
-    """{name: Input} of contract, market and prices: forward prices, rates, ratchets, costs …"""
+    """{name: Input} of the contract, the market and the prices: forward prices, rates, ratchets,
+    costs …"""
     return {name: entry.input() for name, entry in numbers_by_name(case).items()}
 
 
 def numbers_by_name(case: StorageCase) -> dict[str, CaseInput]:
-    """{name: CaseInput} of the same numbers, as they are in the case."""
+    """{name: CaseInput} of the numbers of the case."""
     return by_name(numbers_of(case))
 
 
 def numbers_of(case: StorageCase) -> Iterator[CaseInput]:
-    """Every number of contract, market and prices."""
+    """Every number of the contract, the market and the prices."""
     return numbers_in((case.contract, case.market, case.model))

@@ -1,4 +1,5 @@
-"""The state of one path of a store, discount factors, and the simulators of contracts at prices."""
+"""The state of one path of a store, discount factors, and simulators of contracts whose only noise
+is in the prices."""
 
 from typing import NamedTuple
 
@@ -23,9 +24,9 @@ class StoreState(NamedTuple):
 
 
 class FlowLimits(NamedTuple):
-    """The required net flow of a day (`base`), and the bounds of the allowed one.
+    """The required net flow of a day (`base`), and the bounds of the allowed net flow.
 
-    `keep` is the inventory left without any flow.
+    `keep` is the inventory at the end of the day without any flow.
     """
 
     keep: Array
@@ -36,10 +37,10 @@ class FlowLimits(NamedTuple):
 
 class Discount(eqx.Module):
     """Discount factors of n payments from continuous zero rates, which are linear in days between
-    nodes and flat outside.
+    nodes and constant outside them.
 
     - `day` [n]: the day of each payment since the valuation date, not negative.
-    - `weight` [n, nodes]: the weight of each node's rate in the rate of the payment.
+    - `weight` [n, nodes]: the weight of the rate of each node in the rate of the payment.
     """
 
     day: Float[np.ndarray, " n"]
@@ -47,7 +48,7 @@ class Discount(eqx.Module):
 
     @classmethod
     def of(cls, day: np.ndarray, nodes: np.ndarray) -> "Discount":
-        """The discount factors of payments on integer days, with rates known on the days
+        """The discount factors of payments on integer days, with interest rates on the days
         `nodes`."""
         later, at = np.maximum(day, 0).astype(float), nodes.astype(float)
         weights = [np.interp(later, at, one) for one in np.eye(len(nodes))]
@@ -60,7 +61,7 @@ class Discount(eqx.Module):
 
 class Discounts(eqx.Module):
     """Discount factors of the gas, of the flow and of its costs on every day [T], of fixed costs
-    [n], of the end."""
+    [n], and of the end date."""
 
     gas: Discount
     flow: Discount
@@ -85,7 +86,7 @@ class Discounts(eqx.Module):
 
 
 def of_prices(schedule: Schedule) -> Schedule:
-    """The schedule of the price process, T + 1 rows of NumPy, taken from that of the whole
+    """The schedule of the price process, with T + 1 rows in NumPy, taken from the schedule of the
     problem."""
     days, last = schedule.steps.price, schedule.constants.end_price
     rows = jax.tree.map(lambda leaf, end: np.concatenate([leaf, np.asarray(end)[None]]), days, last)

@@ -1,8 +1,8 @@
 """One path of a gas storage contract: prices, feasible flows, cash.
 
-The action is two fractions: of the injection and of the withdrawal that are feasible today
-beyond the forced flow. Feasible means within the day's rates and such that the contract can still
-be met from the new inventory, so no penalty is needed.
+The action has two shares: of the injection and of the withdrawal that are feasible today beyond the
+forced flow. A flow is feasible if it is within the rates of the day and if the contract can still
+be met from the new inventory, so that no penalty is needed.
 
 Signs: volumes are positive, `cash_flow` is received by the holder. Money is discounted to the
 valuation date.
@@ -37,18 +37,20 @@ from .terms import ContractTerms, Day, end_interval, inventory_limits, per_day
 class StorageSimulator(PricedSimulator):
     """The contract of a case; see `snapo.domains.gas_storage.contract.records` for its terms.
 
-    It contains no case: contracts of the same form differ only in arrays and inputs.
+    It does not contain the case: simulators of contracts of the same form differ only in arrays and
+    inputs.
 
     **Arguments:**
 
-    - `contract`, `process`: those of the case, after `formed`; `curve`, `rate`: the inputs of its
-      prices and rates, and where they are used; `discounts`: the discounts of its payments.
+    - `contract`, `process`: the contract and the price process of the case, after `formed`;
+      `curve`, `rate`: the inputs of its forward prices and interest rates, and where they are used;
+      `discounts`: the discount factors of its payments.
     - `day` [T]: integer days since the valuation date; `end_day`: that of the end date.
     - `value_table`: the marginal values from which the policy starts (see `policy.value_table`).
     - `hedge`: [T] forward volumes of the control variate `forward_hedge`, fixed in advance; its
       total, the discounted sum of hedge x (spot - forward), is zero on average.
-    - `innovations`: the innovations of a fitted value of the store: the control variate
-      `value_surprise` instead of that of a hedge; its total is also zero on average.
+    - `innovations`: the innovations of a fitted value of the store, for the control variate
+      `value_surprise` instead of `forward_hedge`; its total is also zero on average.
     - `price_scale`, `rate_scale`: the scales of the features, which are the mean forward price and
       the largest daily rate.
     """
@@ -70,7 +72,7 @@ class StorageSimulator(PricedSimulator):
 
     @classmethod
     def of(cls, case: StorageCase, value_table: ValueTable | None = None) -> Self:
-        """The contract of a case, with the scales of its numbers."""
+        """The simulator of a case, with the scales of its numbers."""
         contract, market = case.contract, case.market
         numbers = {name: item.value for name, item in storage_inputs(case).items()}
         made = cls(  # pyright: ignore[reportCallIssue]
@@ -88,8 +90,8 @@ class StorageSimulator(PricedSimulator):
         return made.scaled(numbers)
 
     def scaled(self, values: Mapping[str, np.ndarray]) -> Self:
-        """The simulator with the scales of features of these inputs: the mean size of forward
-        prices, and the largest volume that may move on a day."""
+        """The simulator with the scales of features for the values of these inputs: the mean size
+        of forward prices, and the largest volume that may flow on a day."""
         rows: Any = self.contract.ratchets
         size = self.process.price_scale(self.curve.in_numpy(values), values)
         rates = [
@@ -134,7 +136,8 @@ class StorageSimulator(PricedSimulator):
         return replace(self, value_table=None, hedge=None, innovations=None), self._completed
 
     def _completed(self, schedule: Schedule) -> Schedule:
-        """With the value table, the hedge and the innovations, which no input makes here."""
+        """The schedule with the value table, the hedge and the innovations added, which do not
+        depend on inputs here."""
         table, hedge, innovations = self.value_table, self.hedge, self.innovations
         steps = schedule.steps._replace(
             value_table=None if table is None else table.knots,
@@ -223,7 +226,7 @@ class StorageSimulator(PricedSimulator):
         )
 
     def _weighed(self, state: StoreState, outputs: dict[str, Any]) -> dict[str, Any]:
-        """Outputs times the likelihood ratio of the prices so far (see `Process.weight`)."""
+        """The outputs times the likelihood ratio of the prices so far (see `Process.weight`)."""
         weight = self.process.weight(state.price)
         return {name: weight * output for name, output in outputs.items()}
 
@@ -233,7 +236,7 @@ class StorageSimulator(PricedSimulator):
     def _control(
         self, constants: ContractTerms, now: Day, state: StoreState, after: StoreState, spot
     ):
-        """The day's part of the control variate."""
+        """The part of the control variate on one day."""
         if now.innovation is not None:
             factors = self.process.gaussian(state.price)
             day = of_day(now.innovation, factors, state.inventory, after.inventory)
@@ -254,11 +257,11 @@ class StorageSimulator(PricedSimulator):
         return self._weighed(state, outputs) | {"fixed_costs": constants.fixed_costs}
 
     def spot(self, constants: ContractTerms, now: Day, state: StoreState) -> Float[Array, ""]:
-        """The day's spot price."""
+        """The spot price of the day."""
         return self.process.level(constants.price, now.price, state.price)
 
     def flows(self, now: Day, state: StoreState, smooth, scale: Any = 1.0) -> FlowLimits:
-        """The day's forced net flow, and the feasible minimum and maximum."""
+        """The forced net flow of the day, and the feasible minimum and maximum."""
         kind = self.interpolation
         withdrawal = rate(now.levels, now.withdrawal_rate, state.inventory, kind, smooth)
         injection = rate(now.levels, now.injection_rate, state.inventory, kind, smooth)
@@ -299,7 +302,8 @@ def simulator_of(problem: Problem) -> StorageSimulator:
 
 
 def rate(levels, rates, inventory, interpolation: str, smooth):
-    """The day's rate at an inventory: linear between rows, or that of the row at or below."""
+    """The rate of the day at an inventory: linear between rows, or the rate of the row at or below
+    it."""
     if levels.shape[0] == 1:
         return rates[0]
     if interpolation == "step":

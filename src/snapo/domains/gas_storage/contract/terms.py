@@ -1,7 +1,8 @@
-"""The terms of a contract where they are used: in a simulator, and in a case at known prices.
+"""The terms of a contract in the form in which they are used: in a simulator, and in a case at
+fixed prices.
 
-`NumbersOf` gives the numbers of an input on its days: `CaseInput.used` of a case, and a `Use` of
-traced inputs in a simulator. The formulas are the same for both; nothing here uses JAX.
+`NumbersOf` returns the numbers of an input on its days: with `CaseInput.used` for a case, and with
+a `Use` of traced inputs in a simulator. The formulas are the same for both; nothing here uses JAX.
 """
 
 from typing import Any, NamedTuple
@@ -28,11 +29,11 @@ _PER_DAY = (
 class Day(NamedTuple):
     """One decision day, the same for all paths; every leaf has a leading axis T in the schedule.
 
-    Prices in currency per unit, volumes in units per day, discount factors to the valuation date.
-    `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its end.
-    `price` is the row of the price process, `ahead` the curve's shape for the network,
-    `value_table` the marginal value of gas from which the policy starts, `hedge` the forward
-    volume of the control variate, and `innovation` the fitted value of the other control variate.
+    Prices are in currency per unit, volumes in units per day; discount factors are to the valuation
+    date. `low`, `high` bound the inventory at the start of the day, `next_low`, `next_high` at its
+    end. `price` is the row of the price process, `ahead` the shape of the curve for the network,
+    `value_table` the marginal value of gas from which the policy starts, `hedge` the forward volume
+    of the control variate, and `innovation` the fitted value of the other control variate.
     """
 
     day: AnyArray
@@ -64,12 +65,13 @@ class Day(NamedTuple):
 
 
 class ContractTerms(NamedTuple):
-    """Numbers of the whole contract: start, end and fixed costs.
+    """The numbers of the whole contract: start, end and fixed costs.
 
-    `end_levels`, `end_values` [M]: the value of the gas left, in addition to `end_fraction` of its
-    value at the spot price; `fixed_costs` is a present value. `price` holds the constants of the
-    price process, `end_price` its row of the end date. `price_scale` is the mean forward price,
-    `rate_scale` the largest daily rate, and `innovation` the control variate of the end.
+    `end_levels`, `end_values` [M]: the value of the gas left, in addition to `end_fraction` times
+    its value at the spot price; `fixed_costs` is a present value. `price` has the constants of the
+    price process, `end_price` the row of this process on the end date. `price_scale` is the mean
+    forward price, `rate_scale` the largest daily rate, and `innovation` the control variate of the
+    end.
     """
 
     inventory: AnyArray
@@ -96,7 +98,8 @@ class KnownSchedule(NamedTuple):
 
 
 def inventory_limits(contract: Contract, at: NumbersOf) -> InventoryLimits:
-    """Inventory limits, rates after outages, losses and forced flows per day."""
+    """The inventory limits, the rates after outages, the losses and the forced flows of each
+    day."""
     rows = contract.ratchets
     return InventoryLimits(
         minimum=at(contract.min_inventory)[:-1],
@@ -119,7 +122,8 @@ def end_interval(contract: Contract, at: NumbersOf) -> tuple[Any, Any]:
 def per_day(
     contract: Contract, at: NumbersOf, limits: InventoryLimits, low: Any, high: Any
 ) -> dict:
-    """The numbers of each `Day` that the contract has; `low`, `high` [T + 1]: `reachable`."""
+    """The numbers of each `Day` that come from the contract; `low`, `high` [T + 1]: from
+    `reachable`."""
     names = set(InventoryLimits._fields) & set(Day._fields)
     return {
         **{name: getattr(limits, name) for name in names},
@@ -139,7 +143,8 @@ def discount(market: GasMarket, days: np.ndarray) -> np.ndarray:
 
 
 def fixed_costs_value(case: StorageCase) -> float:
-    """The present value of the fixed costs still owed, in currency; to be taken off the value."""
+    """The present value of the fixed costs that are still owed, in currency; it is to be subtracted
+    from the value."""
     amounts = case.contract.fixed_costs.used()
     return float(np.sum(amounts * discount(case.market, case.contract.fixed_cost_day)))
 
@@ -149,7 +154,8 @@ def known_schedule(case: StorageCase) -> KnownSchedule:
     """The schedule of a case at its forward prices, in NumPy, without the numbers of the price
     process.
 
-    It equals `StorageSimulator.prepare` of its inputs up to rounding, if a decision day is left.
+    It equals the result of `StorageSimulator.prepare` for the inputs of the case up to rounding, if
+    a decision day is left.
     """
     contract, market, at = case.contract, case.market, CaseInput.used
     limits, curve = inventory_limits(contract, at), market.forward_curve.used()
@@ -180,12 +186,12 @@ def known_schedule(case: StorageCase) -> KnownSchedule:
 def value_without_decisions(case: StorageCase) -> float:
     """The value, before fixed costs, of a case with no decision days.
 
-    It is zero after the end date, else the discounted value of the inventory on the end date at
-    the forward price. The required inventory is met, since otherwise the case would have been
-    refused.
+    It is zero after the end date; otherwise it is the discounted value of the inventory on the end
+    date at the forward price. A required inventory is in store, since otherwise the case would have
+    been refused.
     """
     if case.days:
-        raise ValueError(f"{case.file}: {len(case.days)} decision days are left.")
+        raise ValueError(f"{case.file}: {len(case.days)} decision days are left; this needs none.")
     if case.expired:
         return 0.0
     inventory = float(case.contract.inventory.used())

@@ -1,5 +1,5 @@
 """A daily forward curve from quotes of traded products: `products`, `smooth`, `quotes`.
 
-The curve is linear in the quotes, so a delta by day becomes one by quote with the transpose of the
-same matrix.
+The curve is linear in the quotes. The transpose of its matrix therefore turns deltas by day into
+deltas by quote.
 """

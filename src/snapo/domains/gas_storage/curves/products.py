@@ -9,14 +9,14 @@ from snapo.case.csv import Row
 ONE = datetime.timedelta(1)
 FIRST, LAST = 1900, 2199  # years with products
 NAMES = (
-    "a day, 2026-01-15, 'weekend 2026-01-17', a month, 2026-01, a quarter, 2026-Q1, a season, "
-    "'summer 2026' or 'winter 2026', 'gas year 2026', which begins in October, a year, 2026, or "
-    "the first and the last day, 2026-01-15/2026-01-31"
+    "a day (2026-01-15), a weekend ('weekend 2026-01-17'), a month (2026-01), a quarter (2026-Q1), "
+    "a season ('summer 2026' or 'winter 2026'), a gas year from October ('gas year 2026'), a year "
+    "(2026), or a first and a last day (2026-01-15/2026-01-31)"
 )
 
 
 def months(year: int, month: int, count: int) -> tuple[datetime.date, datetime.date]:
-    """The first and the last day of some months in a row."""
+    """The first and the last day of a number of consecutive months."""
     after = year * 12 + month - 1 + count
     return datetime.date(year, month, 1), datetime.date(after // 12, after % 12 + 1, 1) - ONE
 
@@ -46,7 +46,8 @@ PATTERNS: dict[str, Callable[..., tuple[datetime.date, datetime.date]]] = {
 
 
 def delivery(name: str) -> tuple[datetime.date, datetime.date]:
-    """The first and the last day of a product, both included; capital letters make no difference.
+    """The first and the last day of a product, both included; upper and lower case are not
+    distinguished.
 
     **Raises:** `ValueError` if there is no such product, or no such day.
 
@@ -62,9 +63,9 @@ def delivery(name: str) -> tuple[datetime.date, datetime.date]:
             if pattern.startswith("weekend") and first.weekday() != 5:
                 raise ValueError(f"{first} is not a Saturday")
             if last < first:
-                raise ValueError("the last day is before the first one")
+                raise ValueError("the last day is before the first day")
             if first.year < FIRST or last.year > LAST:
-                raise ValueError(f"it must be days of the years {FIRST} to {LAST}")
+                raise ValueError(f"its days must be in the years {FIRST} to {LAST}")
             return first, last
     raise ValueError(f"a product is {NAMES}")
 

@@ -1,4 +1,5 @@
-"""Quotes of traded products, and the daily forward curve that has their means."""
+"""Quotes of traded products, and the daily forward curve whose means over the products are the
+quotes."""
 
 import datetime
 from collections.abc import Mapping, Sequence
@@ -24,13 +25,17 @@ Weekday = Literal["monday", "tuesday", "wednesday", "thursday", "friday", "satur
 
 
 class QuotedCurveTable(CaseTable):
-    """The settings to make a daily curve from quotes."""
+    """The settings for a daily curve that is made from quotes."""
 
     smoother: Literal["daily", "spline"] = doc(
-        "smoothness of the curve: of daily prices, or of a spline", "daily"
+        "whether the daily prices are smooth, or means of a smooth spline", "daily"
     )
-    end: Literal["flat", "free"] = doc("slope of a spline at its ends: zero, or not fixed", "flat")
-    factors: dict[Weekday, Positive] = doc("prices by day of the week, relative to the curve", {})
+    end: Literal["flat", "free"] = doc(
+        "slope of a spline at the end of the curve: zero, or not fixed", "flat"
+    )
+    factors: dict[Weekday, Positive] = doc(
+        "factors of the price on days of the week, relative to the smooth curve", {}
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,7 +44,8 @@ class QuotedCurve:
 
     - `file`: the file of the quotes; `products`, `prices` [n]: the products and prices that
       determine the curve.
-    - `source`: these quotes with their positions in the file, and the quotes that they imply.
+    - `source`: these quotes with their positions in the file, and the other quotes, which these
+      imply.
     - `days`: the days of the matrix; `matrix` [D, n]: the derivative of each day's price with
       respect to each quote.
     """
@@ -58,7 +64,8 @@ class QuotedCurve:
 
 
 class _Product(NamedTuple):
-    """A quoted product: its line in the file, price, first day and the day after its last one."""
+    """A quoted product: its row in the file, its price, its first day and the day after its last
+    day."""
 
     row: Row
     price: float
@@ -79,11 +86,11 @@ def read_quotes(
 ) -> QuotedCurve:
     """The quotes in a CSV with columns product,price, and the prices of these days.
 
-    `declaration`: the declaration of a price. Quotes that others imply are compared with them and
-    left out.
+    `declaration`: the declaration of a price. A quote that other quotes imply is compared with
+    these, and left out.
 
-    **Raises:** `CaseError` if a product is unknown or quoted twice, if quotes of the same
-    days disagree, if a day is in no product, and if more than one curve is as smooth.
+    **Raises:** `CaseError` if a product is unknown or quoted twice, if quotes of the same days
+    disagree, if a day is in no product, and if several curves are equally smooth.
     """
     reference = FileReference(section, "quotes", name)
     from .smooth import Undetermined, prices_of_means  # SciPy: most cases are read without it
@@ -93,7 +100,7 @@ def read_quotes(
     products, others, weights = _independent(products)
     if implied := [product.name for product in others]:
         section.notes.append(
-            f"In {name} {', '.join(implied)} agree{'s' if len(implied) == 1 else ''} with the "
+            f"In {name}, {', '.join(implied)} agree{'s' if len(implied) == 1 else ''} with the "
             "other quotes for the same days, which determine the curve."
         )
     start = min(product.first for product in products)
@@ -166,10 +173,10 @@ def _cover(products: Sequence[_Product], name: str, days: Sequence[datetime.date
 def _independent(
     products: Sequence[_Product],
 ) -> tuple[list[_Product], list[_Product], Float[np.ndarray, "m n"]]:
-    """The products whose prices no others imply, in the order of the file, the others, and the
-    weights [others, products] of the first in the prices of these.
+    """The products whose prices are not implied by others, in the order of the file; the implied
+    products; and the weights [implied, products] of the former in the prices of the latter.
 
-    Short products count first: a quarter is implied by its months.
+    Short products are considered first, so that the months imply a quarter.
 
     **Raises:** `CaseError` if an implied price is not the quoted one.
     """
@@ -199,7 +206,7 @@ def _independent(
             raise product.row.error(
                 "price",
                 f"{', '.join(names)} together give {price:.6g} for the days of {product.name}; "
-                f"quotes for the same days agree within {100 * AGREEMENT:g} %",
+                f"quotes for the same days must agree within {100 * AGREEMENT:g} %",
             )
         implied.append(product)
         shares_of.append(dict(zip(selected, weights.tolist())))

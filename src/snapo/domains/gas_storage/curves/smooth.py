@@ -1,15 +1,16 @@
-"""Smooth daily prices with prescribed means over some periods, linear in these means.
+"""Smooth daily prices with prescribed means over some periods; the prices are linear in these
+means.
 
 The price of day d is s[d] g[d], with the factor s of the day (weekends are cheaper) and a smooth g:
 
-- "daily": the numbers g with the least sum of squared second differences;
+- "daily": the numbers g with the smallest sum of squared second differences;
 - "spline": g[d] is the mean over day d of a function f, a polynomial of fourth degree between the
-  limits of periods, twice continuously differentiable, with the least integral of f''^2; its slope
-  at the end is zero if the end is flat (Benth, Koekebakker, Ollmar 2007, "Extracting and
+  limits of periods, twice continuously differentiable, with the smallest integral of f''^2; its
+  slope at the end is zero if the end is flat (Benth, Koekebakker, Ollmar 2007, "Extracting and
   applying smooth forward curves from average-based commodity contracts with seasonal variation",
   Journal of Derivatives 15).
 
-Both are the solution of a linear system with the means on its right-hand side.
+In both cases the prices solve a linear system with the means on its right-hand side.
 """
 
 from collections.abc import Sequence
@@ -42,7 +43,7 @@ def prices_of_means(
     `factors`: the factors of the days of the week. `flat_end`: whether the slope of a spline at its
     end is zero. The means are independent of one another.
 
-    **Raises:** `Undetermined` if more than one curve is as smooth.
+    **Raises:** `Undetermined` if several curves are equally smooth.
     """
     count = len(factors)
     means: Any = sparse.lil_array((len(periods), count))
@@ -70,8 +71,9 @@ def prices_of_means(
 
 
 def _spline(knots: Sequence[int], count: int, flat_end: bool) -> tuple[Any, Any, Any]:
-    """The means over each day [D, K] of the K coefficients of all pieces, the integral of the
-    squared second derivative, and what joins the pieces, which is zero."""
+    """Three matrices for the K coefficients of all pieces: [D, K] the means over each day; the
+    integral of the squared second derivative; and the differences at the joins of pieces, which are
+    zero."""
     pieces, widths = len(knots) - 1, np.diff(knots).astype(float)
     days: Any = sparse.lil_array((count, pieces * (DEGREE + 1)))
     for j, (start, after) in enumerate(pairwise(knots)):

@@ -2,9 +2,9 @@
 
     V(first run) + time + decisions + curve + volatility + … + policy + rest - cash = V(second)
 
-Each cause is a revaluation with all causes before it in place: the exact contract, the policy of
-the first run with its marginal values adapted to the new numbers, and in the last step the
-policy of the second run. Only the rest is a remainder.
+Each part is a revaluation on top of all parts before it. It uses the exact contract and the policy
+of the first run, whose marginal values are adapted to the new numbers; the last step uses the
+policy of the second run. Only the rest is computed as a remainder.
 """
 
 import abc
@@ -32,12 +32,12 @@ from .runs import ValuedRun, later_paths
 
 
 class Started(NamedTuple):
-    """The market of the first run on the second date, with the second run's state.
+    """The market of the first run on the second date, with the state of the second run.
 
-    - `start` [G]: shares of the value before the first part that is on common paths; empty if that
-      is the value of the first run.
-    - `cash`, `flows`: the cash flow of the days between, and the flows on them; `notes`: notes for
-      the reader.
+    - `start` [G]: the shares of groups of paths in the value before the first part on common paths;
+      empty if this is the value of the first run.
+    - `cash`, `flows`: the cash flow and the volumes of the days between the two dates; `notes`:
+      notes for the reader.
     """
 
     start: np.ndarray
@@ -48,7 +48,8 @@ class Started(NamedTuple):
 
 
 class CurveChange(NamedTuple):
-    """Forward prices of a market in both runs, [T]; `input`: their name, `market`: "" for one."""
+    """The forward prices [T] of a market in both runs; `input`: the name of their input; `market`:
+    the name of the market, "" if there is only one."""
 
     input: str
     market: str
@@ -59,7 +60,7 @@ class CurveChange(NamedTuple):
 class ChangeChain(abc.ABC):
     """Revaluations from the first run to the second one.
 
-    - `setup`: the setup of the second run; `at`: the domain's `setup_at`.
+    - `setup`: the setup of the second run; `at`: the function `setup_at` of the domain.
     """
 
     at: Callable[[Setup, Any], Setup]
@@ -76,7 +77,7 @@ class ChangeChain(abc.ABC):
 
     @abc.abstractmethod
     def policies(self) -> tuple[Policy, Policy]:
-        """The policies of both runs, of the shape of the second one's."""
+        """The policies of both runs, in the shape of the policy of the second run."""
 
     @abc.abstractmethod
     def started(self) -> Started:
@@ -84,11 +85,11 @@ class ChangeChain(abc.ABC):
 
     @abc.abstractmethod
     def moved(self, case: Any) -> tuple[Any, Sequence[CurveChange]]:
-        """The case with the second run's forward prices, and both curves of each market."""
+        """The case with the forward prices of the second run, and both curves of each market."""
 
     @abc.abstractmethod
     def terms(self, case: Any) -> tuple[Any, ...]:
-        """All numbers and dates of a case but those of its price model."""
+        """All numbers and dates of a case, except those of its price model."""
 
     def result(self) -> ExplainedChange:
         first, second, case = self.first, self.second, self.second.case
@@ -129,8 +130,8 @@ class ChangeChain(abc.ABC):
         )
 
     def time(self, setup: Setup, passed: int, cash: float) -> tuple[np.ndarray, Setup]:
-        """Adds the part for the step to a later date. `setup` is the first run's contract on that
-        date, with the planned state, and `cash` is the planned cash flow of the steps that
+        """Adds the part for the step to a later date. `setup` is the contract of the first run on
+        that date, in the planned state, and `cash` is the planned cash flow of the steps that have
         `passed`. Returns the shares of the value on that date, and the setup on the paths of the
         parts."""
         first, case = self.first, self.first.case
@@ -159,14 +160,16 @@ class ChangeChain(abc.ABC):
         """The simulator of a case."""
 
     def _paired(self, run: ValuedRun, count: int) -> np.ndarray | None:
-        """The shares of the first run's value on the paths of the parts; None on other paths."""
+        """The shares of groups in the value of the first run, if it is on the paths of the parts;
+        otherwise None."""
         common = self.source is not self.setup.problem.sources.evaluation
         if not common or run.shares is None or len(run.shares) != count:
             return None
         return run.shares if np.isclose(run.shares.mean(), run.value, rtol=1e-6) else None
 
     def _unpaired(self, shares: np.ndarray, run: ValuedRun) -> Iterator[float]:
-        """Errors of a reported value and of the same value here, if they have other paths."""
+        """The errors of a reported value and of the same value here, if the two are on different
+        paths."""
         if len(shares) and not np.isclose(shares.mean(), run.value, rtol=1e-9):
             yield run.error
             yield statistics.of_shares(shares).standard_error
@@ -178,7 +181,7 @@ class ChangeChain(abc.ABC):
         return measured_on(type(self).at(setup, case), self.source)
 
     def shares(self, setup: Setup, policy: Policy) -> np.ndarray:
-        """[G] shares of groups of paths in the value."""
+        """[G] the shares of groups of paths in the value."""
         problem = setup.problem
         totals = path_totals(
             problem, policy, self.setup.evaluation.paths, engine=setup.engines.evaluate
@@ -187,13 +190,13 @@ class ChangeChain(abc.ABC):
         return value_of_groups(*values, problem.simulator.control_variates())
 
     def add(self, name: str, note: str, before: np.ndarray, now: np.ndarray) -> np.ndarray:
-        """Adds a part, the difference of two values; returns the later one."""
+        """Adds a part, the difference of two values; returns the later value."""
         step = statistics.of_shares(now - before)
         self.row(name, step.value, step.standard_error, note)
         return now
 
     def row(self, name: str, amount: float, error: float | None, note: str) -> None:
-        """Adds a part."""
+        """Adds a part with its amount, error and note."""
         row = ChangePart(name, "", round(amount, self.digits) + 0.0, error, note)
         self.rows.append(row)
         self._total(row)
@@ -236,12 +239,13 @@ class ChangeChain(abc.ABC):
         return replace(case, model=model)
 
     def periods(self) -> Sequence[DeliveryPeriod]:
-        """The delivery periods by which the curve is shown."""
+        """The delivery periods into which the move of the curve is split."""
         case = self.second.case
         return delivery_periods(case.days, case.products)
 
     def _steps(self, case: Any) -> Iterator[tuple[str, str, Any]]:
-        """(name, note, case) of each later cause, on top of those before, where the runs differ."""
+        """(name, note, case) of each later cause in which the runs differ, on top of the causes
+        before it."""
         target = self.second.case
         for name, note, model in models_between(case.model, target.model):
             case = self.with_model(case, model)
@@ -257,14 +261,15 @@ class ChangeChain(abc.ABC):
 
 
 def measured_on(setup: Setup, source: Any) -> Setup:
-    """The setup with these scenarios of the evaluation."""
+    """The setup with these scenarios for the evaluation."""
     problem, old = setup.problem, setup.problem.sources
     sources = Sources(old.training, old.validation, source)
     return setup._replace(problem=replace(problem, sources=sources))
 
 
 def models_between(before: Any, after: Any) -> Iterator[tuple[str, str, Any]]:
-    """(name, note, model) of each number of a price model that differs; all if the kind differs."""
+    """(name, note, model) of each number of a price model that differs; one entry for all if the
+    kind differs."""
     if equal(before, after):
         return
     leaves = [jax.tree.structure(x, is_leaf=is_input) for x in (before, after)]
@@ -282,7 +287,7 @@ def models_between(before: Any, after: Any) -> Iterator[tuple[str, str, Any]]:
 
 
 def with_numbers(tree: Any, numbers: dict[str, CaseInput]) -> Any:
-    """A record with other numbers of these names."""
+    """A record in which the numbers with these names are replaced."""
 
     def changed(leaf: Any) -> Any:
         return numbers.get(leaf.name, leaf) if is_input(leaf) else leaf
@@ -291,12 +296,12 @@ def with_numbers(tree: Any, numbers: dict[str, CaseInput]) -> Any:
 
 
 def is_input(leaf: Any) -> bool:
-    """Whether a leaf of a record is numbers of the case."""
+    """Whether a leaf of a record has numbers of the case."""
     return isinstance(leaf, CaseInput)
 
 
 def equal(one: Any, other: Any) -> bool:
-    """Whether two records have the same numbers where they are used."""
+    """Whether two records have the same numbers in the form in which they are used."""
     if jax.tree.structure(one, is_leaf=is_input) != jax.tree.structure(other, is_leaf=is_input):
         return False
     pairs = zip(*(jax.tree.leaves(x, is_leaf=is_input) for x in (one, other)), strict=True)

@@ -26,9 +26,9 @@ class ChangePart:
 
 @dataclass(frozen=True)
 class CurveMove:
-    """The mean move of the forward price of a delivery period, in currency per unit.
+    """The mean move of the forward prices of a delivery period, in currency per unit.
 
-    - `delta`: discounted, in the unit of gas; None if the mean price did not move.
+    - `delta`: the discounted delta, in the unit of gas; None if the mean price did not move.
     """
 
     period: str
@@ -41,12 +41,13 @@ class CurveMove:
 class ExplainedChange:
     """The change of value from the first run to the second one.
 
-    - `values`, `errors`: values of the two runs and their errors; `dates`: their valuation dates.
-    - `cash`: the cash flow of the days between; profit and loss is the change of value plus this
+    - `values`, `errors`: the values of the two runs and their errors; `dates`: their valuation
+      dates.
+    - `cash`: the cash flow between the two dates; profit and loss is the change of value plus this
       cash flow.
     - `parts`: the parts, which add up to the change; the cash flow has a minus sign. `totals`: the
-      same with all periods of the curve together; `moves`: the moves of the curve; `flows`: the
-      flows of the days between.
+      same, with the sum over all periods of the curve; `moves`: the moves of the curve; `flows`:
+      the flows on the days between the two dates.
     - `digits`: decimals of the amounts; `paths`: the number of paths on which the parts are
       computed.
     """
@@ -74,7 +75,7 @@ class ExplainedChange:
 
     @property
     def profit(self) -> float:
-        """Profit and loss: the change of value and the cash."""
+        """Profit and loss: the change of value plus the cash flow."""
         return round(self.change + self.cash, self.digits)
 
 

@@ -42,8 +42,9 @@ def explain(
 ) -> dict[str, Any]:
     """Explains the change of value from the first run to the second one, and writes the parts.
 
-    - `flows`: for a gas store, a CSV file of the flows on the days between, with columns
-      date,volume,price. `cash`: for other contracts, the actual cash flow of the days between.
+    - `flows`: for a gas store, a CSV file of the flows on the days between the two dates, with
+      columns date,volume,price. `cash`: for other contracts, the actual cash flow between the two
+      dates.
     - `out`: folder of the results, by default `explain` in the folder of the second run.
 
     **Raises:** `CaseError` if a run has no value, or the second run cannot follow the first;
@@ -120,7 +121,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     yield line(f"value now, {now}", *_value(answer, 1))
     yield line("change of value", answer["change"])
     if answer["cash"] or answer["flows"]:
-        yield line("profit and loss", answer["profit"], None, "change of value and cash")
+        yield line("profit and loss", answer["profit"], None, "change of value plus cash flow")
     if any(row.period and row.amount for row in rows):
         yield from _curve(answer, rows, digits, width)
     for note in answer["notes"]:
@@ -152,13 +153,13 @@ CAPTION = (
     "scale does not begin at zero."
 )
 METHOD = (
-    "Each part is a revaluation after those above it, on the same paths. Decisions are "
-    "those of the first run's policy, whose marginal values adapt to the new numbers; in the "
-    "part “policy” they are those of the second run's policy. Whiskers and ± are 95 % intervals."
+    "Each part is a revaluation on top of the parts above it, on the same paths. The policy of the "
+    "first run decides, with marginal values that adapt to the new numbers; in the part “policy” "
+    "the policy of the second run decides. Whiskers and ± are 95 % intervals."
 )
 ORDERS = (
-    "First order is delta times move with the decisions of the old curve. Second order is half of "
-    "the change in delta times the move, which includes cross effects between periods."
+    "First order is delta times move, with the decisions at the old curve. Second order is half of "
+    "the change in delta times the move; it includes cross effects between periods."
 )
 
 
@@ -185,7 +186,7 @@ def _parts(change: ExplainedChange) -> Section:
     ]
     if change.flows:
         text = money(change.profit, change.currency, digits, sign=True)
-        facts.append(("Profit and loss", text, "change of value and cash"))
+        facts.append(("Profit and loss", text, "change of value plus cash flow"))
     columns = [
         Column("Part", lambda row: row.part.capitalize()),
         Column("Meaning", "note"),
@@ -258,7 +259,7 @@ def _flows(change: ExplainedChange) -> Section:
     ]
     text = (
         "Net volumes into the store on the days between the two valuation dates, and their cash "
-        f"flow discounted to the second date. The part “{CASH}” subtracts this cash flow from the "
+        f"flow, discounted to the second date. The part “{CASH}” subtracts this cash flow from the "
         "value."
     )
     blocks = [table(change.flows, columns), Text(text)]

@@ -1,8 +1,9 @@
 """The effect of a move of the forward curve, to first and second order, by delivery period.
 
-With the decisions held fixed the cash of a day is linear in its forward price. So the cash of the
-new curve with the decisions of the old one, minus that of the old curve, is delta times move: X.
-With the decisions of the new curve it is the delta of the new curve times the move: Y. Then
+With the decisions held fixed the cash of a day is linear in its forward price. With the decisions
+at the old curve, the cash at the new curve minus the cash at the old curve is therefore delta times
+move; this is X. With the decisions at the new curve, the same difference is the delta at the new
+curve times the move; this is Y. Then
 
     first order X,   second order (Y - X) / 2,
 
@@ -28,7 +29,7 @@ CHUNK = 2048  # paths in one call of an engine: every output of every day is rec
 
 
 class DeliveryPeriod(NamedTuple):
-    """A delivery period: the days from `first` to `after`, not included."""
+    """A delivery period: the days from `first` up to, but not including, `after`."""
 
     name: str
     first: int
@@ -36,7 +37,7 @@ class DeliveryPeriod(NamedTuple):
 
 
 class PeriodEffect(NamedTuple):
-    """First and second order of one period, each with its standard error."""
+    """The effects of first and second order of one period, each with its standard error."""
 
     first: float
     first_error: float
@@ -45,10 +46,10 @@ class PeriodEffect(NamedTuple):
 
 
 class CurveEffect(NamedTuple):
-    """The effects by period, and in total.
+    """The effects by period, and their total.
 
-    - `before`, `after` [G]: shares of groups of paths in the values at both curves.
-    - `error`: the error of that part of the difference of the two values that is beyond the second
+    - `before`, `after` [G]: the shares of groups of paths in the values at both curves.
+    - `error`: the error of the part of the difference between the two values that is beyond second
       order.
     """
 
@@ -66,8 +67,8 @@ def curve_effect(
     periods: Sequence[DeliveryPeriod],
     curves: Sequence[str],
 ) -> CurveEffect:
-    """The effect of the curves of `after` compared with those of `before`; otherwise the two are
-    the same.
+    """The effect of the curves of `after` compared with those of `before`; the two must not differ
+    otherwise.
 
     `curves`: the names of their inputs, one for each market. With the decisions held fixed the cash
     is a sum over markets, so the curves move one after the other. The periods of the first market
@@ -116,7 +117,7 @@ def curve_effect(
 
 
 def _between(before: Setup, after: Setup, curves: Sequence[str]) -> list[Problem]:
-    """The problems with the first curves of `after`, one more each, except the last one."""
+    """The problems in which 1, 2, … of the curves are those of `after`, but not all."""
     problem, result = before.problem, []
     for name in curves[:-1]:
         problem = problem.at({name: after.problem.inputs_by_name[name].value})
@@ -125,7 +126,8 @@ def _between(before: Setup, after: Setup, curves: Sequence[str]) -> list[Problem
 
 
 def _orders(old: np.ndarray, new: np.ndarray) -> PeriodEffect:
-    """First and second order from shares [G] of delta times move at both curves."""
+    """The effects of first and second order, from the shares [G] of delta times move at both
+    curves."""
     first, second = statistics.of_shares(old), statistics.of_shares((new - old) / 2)
     return PeriodEffect(first.value, first.standard_error, second.value, second.standard_error)
 
@@ -139,7 +141,7 @@ def _by_period(rollout, days: np.ndarray) -> np.ndarray:
 
 
 def _controlled(problem, totals, source, values: np.ndarray) -> np.ndarray:
-    """[G] shares of groups in the mean of values, with the control variates of the problem."""
+    """[G] the shares of groups in the mean of values, with the control variates of the problem."""
     objective = problem.objective
     controls = [
         of_groups(objective, totals, source, totals[name])

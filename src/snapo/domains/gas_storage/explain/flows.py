@@ -1,4 +1,4 @@
-"""The days between two valuation dates: the flows planned on the first one, those taken, and
+"""The days between two valuation dates: the flows planned on the first date, the actual flows, and
 their cash."""
 
 import datetime
@@ -26,10 +26,10 @@ class DayFlow(NamedTuple):
 
     - `price`: forward price on the first date; `spot`: the spot price of the flow, by default
       `price`.
-    - `planned`, `taken`: net volume into the store.
+    - `planned`, `taken`: the planned and the actual net volume into the store.
     - `planned_cash`: the cash flow of the plan at the forward price; `forward_cash`, `cash`: the
-      cash flow of the flow taken, at the forward price and at the spot price. All are net of costs,
-      discounted to the second date.
+      cash flow of the actual flow, at the forward price and at the spot price. All are net of
+      costs, discounted to the second date.
     """
 
     date: str
@@ -43,7 +43,7 @@ class DayFlow(NamedTuple):
 
 
 class PassedDays(NamedTuple):
-    """The days between; `planned_inventory`: in store after them as planned."""
+    """The days between the two dates; `planned_inventory`: the planned inventory after them."""
 
     flows: tuple[DayFlow, ...]
     planned_inventory: float
@@ -90,9 +90,9 @@ def passed_days(
 ) -> PassedDays:
     """The first `count` days of a case, after which `inventory` is in store.
 
-    The plan is the policy's decisions at the forward prices. Without `flows` the difference
-    between the inventory and the plan is spread evenly over the days; for a single day the flow
-    taken is exact.
+    The plan consists of the decisions of the policy at the forward prices. Without `flows` the
+    difference between the inventory and the plan is spread evenly over the days; for a single day
+    the actual flow is then exact.
 
     - `elapsed`: days from the valuation date of the case to the second one.
     - `flows`: the actual flows, one for each of these days.
@@ -123,7 +123,7 @@ def passed_days(
         keep = 1 - float(problem.schedule.steps.inventory_loss[t])
         day, forward = case.days[t], float(prices[t])
         if day not in flows:
-            message = "this day lies between the two valuation dates, and needs a line"
+            message = "this day lies between the two valuation dates, and needs a line in the file"
             raise CaseError("--flows", "", day.isoformat(), message)
         taken, spot = flows[day]
         money = (
@@ -134,13 +134,16 @@ def passed_days(
         rows.append(DayFlow(day.isoformat(), forward, spot, planned[t], taken, *money))
         taken_level = taken_level * keep + taken
     if abs(taken_level - inventory) > 1e-6 * max(abs(inventory), abs(levels[0]), 1.0):
-        message = f"they leave {taken_level:,.6g} in store, but the second run has {inventory:,.6g}"
+        message = (
+            f"these flows lead to {taken_level:,.6g} in store, but the second run has "
+            f"{inventory:,.6g}"
+        )
         raise CaseError("--flows", "volume", None, message)
     return PassedDays(tuple(rows), planned_inventory)
 
 
 class _Cash:
-    """The money of a day's flow, discounted to a later date."""
+    """The money of the flow of a day, discounted to a later date."""
 
     def __init__(self, case: StorageCase, problem: Problem, elapsed: int):
         self.steps = problem.schedule.steps

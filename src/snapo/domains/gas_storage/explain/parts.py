@@ -28,7 +28,8 @@ def explained_change(
     flows: Mapping[datetime.date, TakenFlow] | None = None,
     cash: float | None = None,
 ) -> ExplainedChange:
-    """The parts of the change of value; `flows`: the actual flows of the days between.
+    """The parts of the change of value; `flows`: the actual flows on the days between the two
+    dates.
 
     **Raises:** `CaseError` if the second run cannot follow the first one.
     """
@@ -37,7 +38,7 @@ def explained_change(
             "--cash",
             "",
             cash,
-            "--cash is not for a gas store, whose cash flow follows from --flows",
+            "--cash is not for a gas store: use --flows, from which its cash flow is computed",
         )
     check_pair(first, second)
     return _StoreChain(first, second, progress, flows).result()
@@ -65,7 +66,7 @@ class _StoreChain(ChangeChain):
         return trained_policy(self.first.folder, like), trained_policy(self.second.folder, like)
 
     def _passed(self) -> PassedDays:
-        """The days of the first run that are not of the second one."""
+        """The days of the first run before those of the second run."""
         one, other = self.first.case, self.second.case
         count = len(one.days) - len(other.days)
         elapsed = (other.valuation_date - one.valuation_date).days
@@ -115,13 +116,13 @@ class _StoreChain(ChangeChain):
 def _notes(passed: PassedDays) -> Iterator[str]:
     if len(passed.flows) > 1 and any(x.taken != x.planned for x in passed.flows):
         yield (
-            f"{counted(len(passed.flows), 'day')} passed: the difference from the planned flows "
-            "is spread evenly over them, at the forward prices of the first run; --flows names "
-            "a file with the actual flows"
+            f"{counted(len(passed.flows), 'day')} passed: the difference from the planned flows is "
+            "spread evenly over these days, at the forward prices of the first run; name a file "
+            "with the actual flows with --flows"
         )
     elif len(passed.flows) > 1:
         count = len(passed.flows)
         yield (
-            f"{counted(count, 'day')} passed: their flows are at the forward prices; --flows "
-            "names a file with other prices"
+            f"{counted(count, 'day')} passed: the flows on these days are valued at the forward "
+            "prices; name a file with other prices with --flows"
         )

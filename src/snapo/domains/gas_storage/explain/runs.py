@@ -1,4 +1,5 @@
-"""The two runs of an explained change, and the first one valued on the date of the second."""
+"""The two runs of an explained change, and the case of the first run on the date of the second
+run."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
@@ -23,7 +24,7 @@ from snapo.study.prepare import case_of_run
 from ..contract.records import StorageCase
 from ..read.case import read_case
 
-FIXED = "snapo explain needs flows that are decided at delivery: leave this key out"
+FIXED = "snapo explain needs flows that are decided at delivery: leave out this key"
 
 
 @dataclass(frozen=True, eq=False)
@@ -47,14 +48,14 @@ class ValuedRun:
     def read(cls, folder: Path) -> "ValuedRun":
         """The run in a folder.
 
-        **Raises:** `CaseError` if the run has no value, was changed, or is of a kind without such
-        parts.
+        **Raises:** `CaseError` if the run has no value, was changed, or is of a kind whose changes
+        cannot be split.
         """
         record = run_folder.read(folder)
         domain = find(record["kind"], str(folder))
         if not explains(domain):
             allowed = ", ".join(f'"{kind}"' for kind in explained_kinds())
-            message = f"a change is explained between runs of kind {allowed}"
+            message = f"only runs of these kinds can be explained: {allowed}"
             raise CaseError(str(folder), "kind", record["kind"], message)
         run_folder.check_whole(folder, record, (POLICY, SOLUTION, run_folder.GROUPS))
         if "result" in record and changed_files(folder, {run_folder.RESULT: record["result"]}):
@@ -73,7 +74,7 @@ class ValuedRun:
         return run
 
     def check(self) -> None:
-        """**Raises:** `CaseError` if the change of this run cannot be split."""
+        """**Raises:** `CaseError` if a change of the value of this run cannot be split."""
         case = self.case
         if not case.days:
             raise CaseError(str(self.file), "contract.end", case.end, "no decision is left")
@@ -90,12 +91,12 @@ class ValuedRun:
 
 
 def explains(domain: Any) -> bool:
-    """Whether a change between two runs of this kind has parts."""
+    """Whether a change between two runs of this kind can be split into parts."""
     return isinstance(domain, Kind) and bool(domain.explainer)
 
 
 def explained_kinds() -> list[str]:
-    """The kinds of runs between which a change has parts."""
+    """The kinds of runs between which a change can be split into parts."""
     return [kind for kind in installed() if explains(find(kind, kind))]
 
 
@@ -113,9 +114,11 @@ def check_pair(first: ValuedRun, second: ValuedRun) -> None:
         message = f'{first.folder} is of kind "{one.kind}": both runs must be of the same kind'
         raise CaseError(str(second.file), "kind", other.kind, message)
     if other.valuation_date < one.valuation_date:
-        message = f"it is before that of {first.folder}, {one.valuation_date}: name the runs in "
+        message = (
+            f"it is before that of {first.folder}, {one.valuation_date}: name the earlier run first"
+        )
         date = other.valuation_date
-        raise CaseError(str(second.file), "market.valuation_date", date, message + "their order")
+        raise CaseError(str(second.file), "market.valuation_date", date, message)
     for key in ("currency", "volume_unit"):
         if getattr(one, key) != getattr(other, key):
             message = f"{first.folder} has {getattr(one, key)!r}: both must have the same unit"
@@ -128,10 +131,10 @@ def check_pair(first: ValuedRun, second: ValuedRun) -> None:
 
 
 def on_date_of(first: ValuedRun, second: ValuedRun, inventory: float) -> StorageCase:
-    """The case of the first run on the valuation date of the second one, with `inventory` in store.
+    """The case of the first run on the valuation date of the second run, with `inventory` in store.
 
     Its prices, model, rates and terms are those of the first run, day by day; the settings of
-    training and evaluation are those of the second one.
+    training and evaluation are those of the second run.
     """
     one, other = first.case, second.case
     contract = dict(first.data["contract"]) | {"inventory": inventory}
@@ -149,7 +152,7 @@ def on_date_of(first: ValuedRun, second: ValuedRun, inventory: float) -> Storage
 
 
 def with_curve(case: StorageCase, prices: np.ndarray) -> StorageCase:
-    """The case with these forward prices, for each of its days."""
+    """The case with these forward prices for its days."""
     curve = replace(case.market.forward_curve, values=prices, index=np.arange(len(prices)))
     model: Any = case.model
     model = eqx.tree_at(lambda x: x.delivery.curve, model, curve)
@@ -158,7 +161,8 @@ def with_curve(case: StorageCase, prices: np.ndarray) -> StorageCase:
 
 @dataclass(frozen=True)
 class LaterPaths(Pseudo):
-    """The paths of a simulator of an earlier date: the noise of each day is the same.
+    """The paths of a simulator for an earlier date, continued by a simulator for a later date: the
+    noise of each day is the same.
 
     - `first`: the step of the earlier calendar at which a simulator of the later date begins.
     """
@@ -173,7 +177,8 @@ class LaterPaths(Pseudo):
 def later_paths(
     source: Scenarios, earlier: Simulator, later: Simulator, passed: int
 ) -> LaterPaths | None:
-    """The paths of `earlier` after the first `passed` of its days; None if no shift gives them."""
+    """The paths of `earlier` after the first `passed` of its days; None if the scenarios cannot be
+    shifted in this way."""
     if type(source) is not Pseudo:
         return None
     starts = [x.first_step if x.first_step <= x.initial_steps else 0 for x in (earlier, later)]

@@ -11,8 +11,8 @@ DELTAS, MIN_VARIANCE = "deltas", "least variance"
 class DailyHedge(NamedTuple):
     """A hedge that is adjusted on each day, in the `families` of [products].
 
-    - `rule`: with DELTAS each product hedges its exposure; with MIN_VARIANCE the first product of
-      each family is traded, so that the variance of the next day is smallest.
+    - `rule`: with DELTAS each product hedges its own exposure; with MIN_VARIANCE the first product
+      of each family is traded, such that the variance of the next day is smallest.
     """
 
     rule: str
@@ -24,21 +24,23 @@ class DailyHedge(NamedTuple):
 
     @property
     def products(self) -> str:
-        """Least variance takes only the first product of a family: of "months" the next month."""
+        """The products as text. Least variance uses only the first product of a family: for
+        "months", the next month."""
         if self.rule != MIN_VARIANCE:
             return as_text(self.families)
         return as_text([f"next {x[:-1]}" if x.endswith("s") else x for x in self.families])
 
 
 def as_text(families: Sequence[str]) -> str:
-    """Keys of [products] for a reader."""
+    """Keys of [products] as text for a reader."""
     return ", ".join(family.replace("_", " ") for family in families)
 
 
 def usual_hedges(families: Collection[str]) -> tuple[DailyHedge, ...]:
-    """Deltas in longer products, then with shorter ones; least variance in one family, and in all.
+    """Hedges of deltas in longer products, then with shorter products added; and hedges of least
+    variance in one family, and in all families.
 
-    `families`: that trade, the shortest first.
+    `families`: the families that are traded, the shortest first.
     """
     short = [family for family in families if family in (DAY_AHEAD, BALANCE)]
     longer = tuple(family for family in families if family not in short)

@@ -1,4 +1,4 @@
-"""A store on simulated paths of its model, decided by a policy that sees all price factors."""
+"""A store on simulated paths of its model, operated by a policy that sees all price factors."""
 
 from dataclasses import dataclass
 from typing import NamedTuple
@@ -22,12 +22,12 @@ from .exposures import BLOCK, StorePaths
 
 
 class NoForwardCurve(ValueError):
-    """Paths of the model have no forward curve; the message is the reason."""
+    """Paths of the model have no forward curve; the message has the reason."""
 
 
 class DrawnStore(NamedTuple):
-    """`paths`; `groups` [N] of their scenarios; `cash` [T, N] of each day, discounted; `control`
-    [N]: the control variate of the money, of mean zero."""
+    """`paths`: the store on paths; `groups` [N]: the groups of their scenarios; `cash` [T, N]: the
+    discounted cash of each day; `control` [N]: the control variate of the money, with mean zero."""
 
     paths: StorePaths
     groups: np.ndarray
@@ -78,7 +78,7 @@ class StoreDraws:
 
 
 def curve_factors(problem: Problem) -> GaussianFactors:
-    """The factors of a problem's forward curve.
+    """The factors of the forward curve of a problem.
 
     **Raises:** `NoForwardCurve`.
     """
@@ -89,7 +89,7 @@ def curve_factors(problem: Problem) -> GaussianFactors:
 
 
 def _sold(problem: Problem, rollout, levels: np.ndarray) -> np.ndarray:
-    """[T + 1, N] volume at the price of each day, and of the end."""
+    """[T + 1, N] the volume sold at the price of each day, and of the end date."""
     steps, constants = problem.schedule.steps, problem.schedule.constants
     outputs = rollout.record["outputs"]
     out = (1 - steps.withdrawal_fuel)[:, None] * np.asarray(outputs["withdrawal"], np.float64)

@@ -1,18 +1,20 @@
 """Exposures along paths: the remaining pathwise exposure, regressed on the state of the day.
 
 Let q(d) be the volume sold on day d of a path at its spot price S(d), D(d) the discount factor of
-its payment, F_t(d) the forward price on day t, and b the days of a product. Decisions are best, so
-that the value moves with the price of the product as if they were fixed (the envelope theorem):
+its payment, F_t(d) the forward price on day t, and b the days of a product. For optimal decisions,
+the value changes with the price of the product as if the decisions were fixed (envelope theorem):
 
     volume of b on day t = E_t[sum over b of D(d) q(d) S(d)] / sum over b of D(d) F_t(d)
 
-for prices proportional to the curve; for shifted prices S + shift and F + shift replace S and F;
-for normal prices both are 1. The conditional expectation is a least-squares fit on one set of
-paths, after the flow of the day, by polynomials in the level and the price factors: no path is
-simulated inside a path. The part that is due to the mean volumes of all paths is known and not
-fitted.
+for prices that are proportional to the curve. For shifted prices, S + shift and F + shift replace S
+and F; for normal prices, both are 1. The conditional expectation is a least-squares fit on one set
+of paths, after the flow of the day, with polynomials in the level and the price factors; no nested
+simulation is needed.
 
-The exposure to factor k is the same sum with the sensitivity of ln F_{t+1}(d) to it as a weight.
+The part that the mean volumes of all paths cause is computed exactly and not fitted.
+
+The exposure to factor k is the same sum, weighted with the sensitivity of ln F_{t+1}(d) to this
+factor.
 """
 
 from collections.abc import Mapping, Sequence
@@ -41,11 +43,11 @@ Days = tuple[int, int]  # the first, and the one after the last
 
 @dataclass(frozen=True, eq=False)
 class StorePaths:
-    """A contract on paths, decided by any rule.
+    """A contract on paths, operated by any rule.
 
     - `factors`: the factors of its prices, exact and without spikes; `forward` [T + 1]: today's
-      curve, the price of the end last; `discount` [T + 1]: the discount of the payment for the gas
-      of each of these dates.
+      curve, with the price of the end date last; `discount` [T + 1]: the discount factor of the
+      payment for the gas of each of these dates.
     - `states` [T + 1, F, N]: the factors; `levels` [T + 1, N]: levels at the start of each day and
       at the end; `sold` [T + 1, N]: volume sold at the spot price, negative if bought.
     - `money` [N]: the present value of all payments.
@@ -83,27 +85,28 @@ class StorePaths:
         return PathCurves(self.factors, self.forward, self.states)
 
     def ahead(self, t: int) -> np.ndarray:
-        """[T - t, N] forward prices on step t, or of today for -1, of the dates after it."""
+        """[T - t, N] the forward prices of the dates after step t, as seen on that step; for -1,
+        today's forward prices."""
         return self.curves(t)[1:] if t >= 0 else self.curves(t)
 
     def moving(self, prices: np.ndarray) -> np.ndarray:
-        """The part of prices that noise multiplies: prices + shift, or 1 of normal ones."""
+        """The part of prices that noise multiplies: prices + shift, or 1 for normal prices."""
         if self.factors.additive:
             return np.ones_like(prices)
         return prices + self.factors.shift
 
     def paid(self, t: int, prices: np.ndarray) -> np.ndarray:
-        """Prices [n, N] of dates from t on, discounted."""
+        """The prices [n, N] of dates from t on, discounted."""
         return self.discount[t:, None] * prices
 
     @cached_property
     def exposed(self) -> np.ndarray:
-        """[T + 1, N] the pathwise exposure to each date's price."""
+        """[T + 1, N] the pathwise exposure to the price of each date."""
         return self.sold * self.paid(0, self.moving(self.curves.spots))
 
     @cached_property
     def volumes(self) -> np.ndarray:
-        """[T + 1] today's deltas by day, as volumes: the mean exposure over today's price."""
+        """[T + 1] today's deltas by day, as volumes: the mean exposure divided by today's price."""
         return self.exposed.mean(axis=1) / (self.discount * self.moving(self.forward))
 
 
@@ -111,7 +114,7 @@ class StorePaths:
 class StateFunctions:
     """Polynomials in the level after the flow of a day and the factors of the day.
 
-    - `low`, `high` [T]: range of that level on the paths of the fit.
+    - `low`, `high` [T]: the range of that level on the paths of the fit.
     """
 
     factors: GaussianFactors
@@ -124,14 +127,15 @@ class StateFunctions:
 
     @cached_property
     def _powers(self) -> np.ndarray:
-        """[K, 1 + selected]"""
+        """[K, 1 + selected] the degrees of the polynomials."""
         count = 1 + self._linear[0].shape[1]
         total = DEGREES.get(count, 3)
         every = product(range(total + 1), repeat=count)
         return np.array([item for item in every if sum(item) <= total])
 
     def __call__(self, t: int, level: np.ndarray, states: np.ndarray) -> np.ndarray:
-        """[K, N] of the level [N] after step t, and the factors [F, N] of the step."""
+        """[K, N] the functions, from the level [N] after step t and the factors [F, N] of the
+        step."""
         first, common, variance = self._linear
         middle, half = (self.high[t] + self.low[t]) / 2, (self.high[t] - self.low[t]) / 2
         share = np.clip((level - middle) / half, -1, 1) if half > 0 else 0 * level
@@ -156,8 +160,8 @@ class StateFunctions:
 class FittedExposures:
     """The fit of each step of `products`.
 
-    - `volumes` [T + 1]: today's deltas by day; `products`: {step: the products held from that step
-      on, as days}.
+    - `volumes` [T + 1]: today's deltas by day; `products`: {step: the days of the products held
+      from that step on}.
     - `coefficients`: {step from 0 on: [K, products + F] the coefficients of the functions}.
     """
 
@@ -188,9 +192,9 @@ class FittedExposures:
         return cls(functions, volumes, products, solved)
 
     def at(self, t: int, part: StorePaths, moving: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """For other paths, the volumes per day [products, N] that are sold forward after the flow
-        of step t, and the discounted exposures [F, N] to the factors' shocks. `moving` [T - t, N]:
-        the part of the discounted prices of the later dates that noise moves.
+        """For other paths: the volumes per day [products, N] that are sold forward after the flow
+        of step t, and the discounted exposures [F, N] to the shocks of the factors. `moving` [T -
+        t, N]: the part of the discounted prices of the later dates that noise moves.
         """
         blocks, fixed = self.products[t], moving * self.volumes[t + 1 :, None]
         fit = np.zeros((len(blocks) + len(part.factors.decay[0]), part.count))
@@ -205,12 +209,12 @@ class FittedExposures:
 
 
 def _steps(products: Mapping[int, Sequence[Days]], horizon: int) -> list[int]:
-    """The steps with a fit, the last one first; before step 0 all paths are in one state."""
+    """The steps with a fit, the last step first; before step 0 all paths are in one state."""
     return [t for t in reversed(range(horizon)) if t in products]
 
 
 def _targets(part: StorePaths, volumes: np.ndarray, functions: StateFunctions, blocks):
-    """Functions and targets of each step of `blocks`, the last one first."""
+    """The functions and the targets of each step of `blocks`, the last step first."""
     factors, horizon = part.factors, part.horizon
     fixed = part.paid(0, part.moving(part.curves.spots)) * volumes[:, None]
     rest = part.exposed - fixed
@@ -231,19 +235,20 @@ def _targets(part: StorePaths, volumes: np.ndarray, functions: StateFunctions, b
 
 
 def _solved(square: np.ndarray, right: np.ndarray) -> np.ndarray:
-    """The least-squares solution of normal equations; functions that depend on others share."""
+    """The least-squares solution of normal equations; functions that are linearly dependent share
+    their coefficient."""
     values, vectors = np.linalg.eigh(square)
     inverse = np.where(values > SMALLEST * values[-1], 1 / np.maximum(values, 1e-300), 0.0)
     return vectors @ (inverse[:, None] * (vectors.T @ right))
 
 
 def sensitivities(factors: GaussianFactors, t: int) -> np.ndarray:
-    """[T - t, F] of ln F(d), d from t + 1 on, to the shocks that arrive on t + 1."""
+    """[T - t, F] the sensitivities of ln F(d), for d from t + 1 on, to the shocks of step t + 1."""
     decay = factors.decay[t + 1 :].copy()
     decay[0] = 1.0
     return factors.loading[t + 1 :] * np.cumprod(decay, axis=0)
 
 
 def _hermite_sizes(degree: int) -> np.ndarray:
-    """1 / sqrt(n!)"""
+    """1 / sqrt(n!) for n from 0 to `degree`."""
     return np.cumprod(np.append(1.0, 1 / np.sqrt(np.arange(1, degree + 1))))

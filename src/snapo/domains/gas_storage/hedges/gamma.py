@@ -2,24 +2,25 @@
 
     gamma[i, j] = d delta[i] / d F[j] = (delta[i](F + h e[j]) - delta[i](F - h e[j])) / 2h
 
-The deltas are held derivatives (envelope theorem), each with the decisions that are best at its
-curve: with the same decisions on both sides cash is linear in prices, and gamma would be zero.
-Everything made from the inputs, such as the fitted value, is recomputed for every moved curve, and
-all deltas are on the same paths.
+The deltas are held derivatives (envelope theorem), each with the decisions that are best at its own
+curve. With the same decisions on both sides cash would be linear in prices, and gamma would be
+zero. Everything that is made from the inputs, such as the fitted value, is recomputed for every
+moved curve; all deltas are on the same paths.
 
-The bump. A delta jumps on a path where a decision changes: of N paths a share in proportion to h
-does, so the standard error falls as 1 / sqrt(N h), while the bias grows as h^2. For the gamma of an
-option at the money whose price deviates by s the mean square error
+The size of the bump. A delta jumps on each path on which a decision changes. The share of such
+paths is proportional to h, so that the standard error falls as 1 / sqrt(N h), while the bias grows
+as h^2. For the gamma of an option at the money on a price with the standard deviation s, the mean
+square error
 
-    (s / 0.8 N h + (h / s)^4 / 36) gamma^2    is least at    h = s (11.25 / N)^(1/5),
+    (s / 0.8 N h + (h / s)^4 / 36) gamma^2    is smallest at    h = s (11.25 / N)^(1/5),
 
 where the bias is half of the standard error (P. Glasserman, Monte Carlo Methods in Financial
-Engineering, Springer 2003, section 7.1). s is the deviation of the spot price of a product on a
-path from its mean over the product and half a month on either side: a common change of all prices
-changes no decision.
+Engineering, Springer 2003, section 7.1). s is the standard deviation of the spot price of a product
+around its mean, on each path, over the product and half a month on either side, because a common
+change of all prices changes no decision.
 
-The two estimates of a pair, from a bump of either product, have the same limit for the best
-decisions. Their mean is reported. Half of their difference, beyond its sampling error, is the
+A pair has two estimates, one from a bump of each product. With the best decisions both have the
+same limit. Their mean is reported. Half of their difference, beyond its sampling error, is the
 possible error of the policy.
 """
 
@@ -71,7 +72,7 @@ def price_rises(
     values: np.ndarray,
     steps_a_day: int = 1,
 ) -> list[PriceRise]:
-    """One product for each period of these days of delivery.
+    """The rises of one product for each period of these days of delivery.
 
     `curve`: the forward prices `values` [n] and where they are used on all steps of the simulator.
     A day has `steps_a_day` steps.
@@ -90,7 +91,7 @@ def price_rises(
 
 
 class GammaMatrix(NamedTuple):
-    """The matrix [n, n] of n products, in units of volume per unit of price; a present value.
+    """The matrix [n, n] of n products, as a present value, in units of volume per unit of price.
 
     - `both` [B, n, n]: the change of delta i for a bump of product j at [:, j, i], by block of
       paths.
@@ -102,26 +103,26 @@ class GammaMatrix(NamedTuple):
 
     @property
     def symmetric(self) -> Estimate:
-        """The mean of both estimates of each pair."""
+        """The mean of the two estimates of each pair."""
         return Estimate((self.both + self.both.transpose(0, 2, 1)) / 2)
 
     @property
     def standard_error(self) -> np.ndarray:
-        """Sampling, and the bias of the bump."""
+        """The standard error: the sampling error and the bias of the bump."""
         return np.hypot(1.0, BIAS) * self.symmetric.standard_error
 
     @property
     def policy(self) -> np.ndarray:
-        """The possible error of the policy: half of the difference of both estimates, beyond its
-        standard error."""
+        """The possible error of the policy: half of the difference between the two estimates,
+        beyond its standard error."""
         apart = Estimate(self.both - self.both.transpose(0, 2, 1))
         excess = apart.value**2 - apart.standard_error**2
         return np.sqrt(np.maximum(excess, 0.0)) / 2
 
     def along(self, prices: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """[n] the matrix times prices [n], and its standard error: zero without costs, if prices
-        move in proportion to a curve that is flat within each product, since the value is then
-        homogeneous of degree one."""
+        """[n] the matrix times prices [n], and its standard error. Without costs the product is
+        zero if prices move in proportion to a curve that is flat within each product, since the
+        value is then homogeneous of degree one."""
         product = Estimate(self.symmetric.blocks @ prices)
         return product.value, np.hypot(1.0, BIAS) * product.standard_error
 
@@ -136,11 +137,11 @@ def gamma_matrix(
     paths: int,
     progress: Callable[[str], None] = lambda text: None,
 ) -> GammaMatrix:
-    """Gamma of the products, two passes for each.
+    """The gamma of the products, with two passes for each product.
 
-    `curve`: the input of the forward prices; `prices`: the schedule of the price process. Forward
-    prices of steps whose spot price is known already, such as that of the valuation date, are not
-    moved: between kinks the value is linear in them.
+    `curve`: the input of the forward prices; `prices`: the schedule of the price process. The
+    forward prices of steps whose spot price is already fixed, such as that of the valuation date,
+    are not moved: between kinks the value is linear in them.
 
     **Raises:** `ValueError` if the prices of a product are not random, since the value then has
     kinks in them.
@@ -152,7 +153,9 @@ def gamma_matrix(
     spreads = price_spreads(spots, rises)
     if not np.all(spreads > 0):
         name = rises[int(np.argmin(spreads))].name
-        raise ValueError(f"the price of {name} is not random, and the value has kinks in it")
+        raise ValueError(
+            f"the price of {name} is not random: the value has kinks in it and no gamma"
+        )
     bumps = spreads * (BALANCE / count) ** 0.2
     along, value = random_rises(spots, rises), problem.inputs_by_name[curve].value
     at_values, both = problems_at(problem), []
@@ -172,7 +175,7 @@ def gamma_matrix(
 def centred_spots(
     problem: Problem, policy: Policy, prices: Schedule, engine: Engine
 ) -> Float[np.ndarray, "T N"]:
-    """Spot prices on some paths, minus the mean over the paths."""
+    """The spot prices on some paths, minus their mean over the paths."""
     source, simulator = problem.sources.evaluation, problem.simulator
     draws = source.draws(np.arange(source.available(SPREAD_PATHS)), simulator)
     rollout = engine.bind(problem).values(policy, draws, Exact(), record=TRAJECTORY)
@@ -182,7 +185,8 @@ def centred_spots(
 
 
 def price_spreads(spots: Float[np.ndarray, "T N"], rises: Sequence[PriceRise]) -> np.ndarray:
-    """[n] the deviation of the spot price from the mean of its path around each product."""
+    """[n] the standard deviation of the spot price around the mean of its path near each
+    product."""
     spreads = []
     for rise in rises:
         first, after = max(rise.steps.start - AROUND, 0), rise.steps.stop + AROUND
@@ -192,7 +196,8 @@ def price_spreads(spots: Float[np.ndarray, "T N"], rises: Sequence[PriceRise]) -
 
 
 def random_rises(spots: Float[np.ndarray, "T N"], rises: Sequence[PriceRise]) -> np.ndarray:
-    """[n, numbers of the curve] the rises, without numbers that no random spot price depends on."""
+    """[n, numbers of the curve] the rises, without the numbers on which no random spot price
+    depends."""
     random = np.ptp(spots, axis=1) > 0
     moving = (np.isin(np.arange(x.along.size), x.numbers[random[x.steps]]) for x in rises)
     return np.stack([x.astype(float) for x in moving])

@@ -1,8 +1,9 @@
 """The products that a hedge holds from one trading day to the next.
 
 A position is taken after the flow of the day. Each later day belongs to the shortest product of a
-set that contains it and still trades, and tomorrow to the day-ahead, if that is in the set. A
-product is closed on its last trading day, unless another one of the set then has its days.
+set that contains it and can still be traded; tomorrow belongs to the day-ahead, if that is in the
+set. A position in a product is closed on the last trading day of the product, unless another
+product of the set then contains its days.
 """
 
 from collections.abc import Collection
@@ -17,7 +18,7 @@ BY_DAY = "by day"  # the family of a static hedge of each day
 
 
 class HeldProduct(NamedTuple):
-    """A product of a hedge with its days, and the key of [products] that it is of."""
+    """A product of a hedge with its days, and the key of [products] to which it belongs."""
 
     name: str
     block: TradeBlock
@@ -31,7 +32,7 @@ HeldProducts = tuple[HeldProduct, ...]
 class Overnight:
     """The products that hedges hold from step to step.
 
-    `trading`: the steps on which anything trades; None: all.
+    `trading`: the steps on which products can be traded; None if all are such steps.
     """
 
     products: TradedProducts
@@ -44,7 +45,7 @@ class Overnight:
         return self.nearest(t, families) if hedge.rule == MIN_VARIANCE else self.held(t, families)
 
     def held(self, t: int, families: Collection[str]) -> HeldProducts:
-        """The products of a set of families of [products] that are held from step t on."""
+        """The products of some `families` of [products] that are held from step t on."""
         after = self.after(t)
         later = {
             day
@@ -58,7 +59,7 @@ class Overnight:
         )
 
     def after(self, t: int) -> int:
-        """The next step on which something trades; the number of days if there is none."""
+        """The next step on which products can be traded; the number of days if there is none."""
         if self.trading is None:
             return t + 1
         return min((x for x in self.trading if x > t), default=len(self.products.days))
@@ -66,7 +67,8 @@ class Overnight:
     def nearest(self, t: int, families: Collection[str]) -> HeldProducts:
         """The first product of each family that is held.
 
-        In the last months, if nothing later trades, the balance of the month replaces them.
+        In the last months, if no later product can be traded, the balance of the month replaces
+        them.
         """
         first: dict[str, HeldProduct] = {}
         for row in self.held(t, families):
@@ -78,16 +80,16 @@ class Overnight:
         return self.held(t, {*families, BALANCE})[: 1 + (DAY_AHEAD in first)]
 
     def to_delivery(self) -> HeldProducts:
-        """The products of the first trading day, in which a static hedge is sold."""
+        """The products of the first trading day; a static hedge is sold in these products."""
         return self._rows(self.first, set(self.products.families) - {DAY_AHEAD})
 
     @property
     def first(self) -> int:
-        """The first trading day: step 0, or the valuation date for -1."""
+        """The first trading day: step 0, or -1 for the valuation date."""
         return -1 if self.products.before else 0
 
     def _rows(self, t: int, families: Collection[str]) -> HeldProducts:
-        """The products that trade on step t, of days after it."""
+        """The products that can be traded on step t, with the days after it."""
         rows = self._trading(t, frozenset(families) - {DAY_AHEAD})
         if DAY_AHEAD not in families or not self._tomorrow(t):
             return rows
@@ -121,6 +123,6 @@ class Overnight:
 
 
 def by_day(horizon: int, first: int) -> HeldProducts:
-    """Each day after step `first` as if it were a product without a spread."""
+    """Each day after step `first`, as a product without a spread."""
     days = range(first + 1, horizon)
     return tuple(HeldProduct("", TradeBlock(t, t + 1), BY_DAY) for t in days)

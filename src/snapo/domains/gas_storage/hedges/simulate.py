@@ -5,7 +5,7 @@ on all days of a product, until the next day:
 
     money = contract - sum over t, d of D(d) h_t(d) [F_{t+1}(d) - F_t(d)] - sum of b D(d) |trade|
 
-A trade is the difference of h to the day before, b half the spread of its product. Delivery is
+A trade is the change of h from the day before, and b is half the spread of its product. Delivery is
 settled at the spot price, without a spread.
 """
 
@@ -28,8 +28,8 @@ SEPARATE = 1e-9  # of the squared risk of a product, added: products that move t
 
 
 class HedgeGain(NamedTuple):
-    """The gain of one family of products, on paths [N]: gain after costs, cost of the spread, and
-    volume traded."""
+    """The result of one family of products on paths [N]: the gain after costs, the cost of the
+    spread, and the volume traded."""
 
     gain: np.ndarray
     cost: np.ndarray
@@ -43,16 +43,18 @@ HedgeGains = dict[str, HedgeGain]  # by family
 
 
 class HeldVolume(NamedTuple):
-    """A product with the volume a day that is sold of it, [N]."""
+    """A product, with the volume per day [N] of it that is sold."""
 
     row: HeldProduct
     volume: np.ndarray
 
 
 def static(paths: StorePaths, rows: HeldProducts, volumes: np.ndarray, first: int) -> HedgeGains:
-    """Volumes per day [T + 1], sold today after step `first`, equal on all days of a product.
+    """The gains of a static hedge: volumes per day [T + 1] that are sold today, for the days after
+    step `first`, equal on all days of a product.
 
-    The exposure of a product is the mean of the volumes, weighted with today's discounted prices.
+    The volume of a product is the mean of `volumes` over its days, weighted with today's discounted
+    prices.
     """
     account = HedgeAccount(paths.discount, paths.count)
     weights = paths.discount * paths.moving(paths.forward)
@@ -76,7 +78,8 @@ class DailyHedges:
     hedges: Sequence[DailyHedge]
 
     def simulated(self, fit: StorePaths, paths: StorePaths) -> list[HedgeGains]:
-        """The gains of each hedge on `paths`, its exposures fitted on other ones."""
+        """The gains of each hedge on `paths`, with exposures that are fitted on the other paths
+        `fit`."""
         first = self.overnight.first
         rows = {t: self.held(t) for t in range(first, fit.horizon)}
         exposures = FittedExposures.of(fit, {t: different(row) for t, row in rows.items()})
@@ -144,9 +147,9 @@ class DailyHedges:
 def _minimum_variance(
     part: StorePaths, t: int, rows: HeldProducts, moving: np.ndarray, exposure: np.ndarray
 ) -> Sequence[np.ndarray]:
-    """Volumes [products, N] that leave the least variance of the next day's shocks.
+    """The volumes [products, N] that minimise the variance of the next day.
 
-    Products that move together share the volume.
+    Products whose prices move together share the volume.
     """
     if not rows:
         return []
@@ -175,7 +178,7 @@ class OvernightChange:
         self._sums: dict[Days, np.ndarray] = {}
 
     def over(self, days: Days) -> np.ndarray:
-        """[N] the sum over these days; the days that are delivered already do not count."""
+        """[N] the sum over these days; days that are already delivered do not count."""
         if days not in self._sums:
             first, after = (max(day - self._next, 0) for day in days)
             self._sums[days] = self._money[first:after].sum(axis=0)
@@ -183,7 +186,8 @@ class OvernightChange:
 
 
 class HedgeAccount:
-    """Sums of a hedge by family, on `count` paths; `discount` [T + 1] of payments by date."""
+    """The sums of a hedge by family, on `count` paths; `discount` [T + 1]: the discount factors of
+    payments by date."""
 
     def __init__(self, discount: np.ndarray, count: int):
         self.discount, self.count = discount, count
@@ -192,12 +196,13 @@ class HedgeAccount:
         self.traded: dict[str, np.ndarray] = defaultdict(lambda: np.zeros(count))
 
     def hold(self, positions: Sequence[HeldVolume], change: OvernightChange) -> None:
-        """Holds positions over a change of the prices."""
+        """Adds the gain of positions from a change of the prices."""
         for row, volume in positions:
             self.gain[row.family] -= volume * change.over(_days(row))
 
     def trade(self, before: Sequence[HeldVolume], now: Sequence[HeldVolume], t: int) -> None:
-        """Trades the differences on days after step t, at the spread of the product held now."""
+        """Trades the differences between two sets of positions for days after step t, at the spread
+        of the product that is held afterwards."""
         marks = {x for row, _ in (*before, *now) for x in (row.block.first, row.block.after)}
         marks = sorted({max(x, t + 1) for x in marks})
         nothing = np.zeros(self.count)
@@ -224,7 +229,7 @@ def _on(positions: Sequence[HeldVolume], day: int) -> HeldVolume | None:
 
 
 def _in_lots(volume: np.ndarray, lot: float) -> np.ndarray:
-    """The nearest multiples of a lot, 0 for any volume."""
+    """The nearest multiples of a lot; the volume itself if the lot is 0."""
     return np.round(volume / lot) * lot if lot > 0 else volume
 
 
@@ -233,7 +238,7 @@ def _days(row: HeldProduct) -> Days:
 
 
 def different(rows: Sequence[HeldProducts]) -> list[Days]:
-    """The days of all products, each once."""
+    """The days of all products, without duplicates."""
     return list(dict.fromkeys(_days(row) for held_rows in rows for row in held_rows))
 
 

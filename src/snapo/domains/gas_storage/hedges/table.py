@@ -20,11 +20,13 @@ SETS = 'a list of lists of the keys of [products], like [["months"], ["months", 
 
 
 class HedgeTable(CaseTable):
-    """`[hedge]`: sets of products, each a hedge."""
+    """`[hedge]`: sets of products; each set is a hedge."""
 
-    deltas: list[list[str]] | None = doc("sets of products that hedge exposures", None, SETS)
+    deltas: list[list[str]] | None = doc(
+        "sets of products, each of which hedges its own exposure", None, SETS
+    )
     least_variance: list[list[str]] | None = doc(
-        "sets of products; the first product of every family hedges the variance of the next day",
+        "sets of products; the first of each family are traded to minimise the next day's variance",
         None,
         SETS,
     )
@@ -45,7 +47,7 @@ def hedges_of(
 ) -> Hedges | None:
     """The hedges of the table [hedge], None for a case without one.
 
-    **Raises:** `CaseError` if a set has a product that does not trade.
+    **Raises:** `CaseError` if a set has a product that is not traded.
     """
     if data is None:
         return None
@@ -71,7 +73,7 @@ def _hedge(
         if name not in families:
             allowed = ", ".join(f'"{x}"' for x in families)
             raise section.error(
-                key, name, f"it must be keys of [products] that are traded: {allowed}"
+                key, name, f"it may contain only the traded keys of [products]: {allowed}"
             )
     if not entry:
         raise section.error(key, entry, "a hedge must have at least one product")

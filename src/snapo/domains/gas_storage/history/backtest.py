@@ -1,4 +1,5 @@
-"""`snapo backtest`: a gas store decided on past prices, each day with the prices until then."""
+"""`snapo backtest`: a gas store operated on past prices; each day is decided with the prices up to
+that day."""
 
 import datetime
 from collections.abc import Mapping
@@ -57,12 +58,13 @@ def backtest(
     """Operates the store of a case on the prices in a folder, and writes the results.
 
     - `history`: a folder with `spot.csv` and, if there are any, forward curves in `curves.csv`.
-    - `every`: days from one solution to the next, with the curve of its date; by default 30; if the
-      model is estimated again, by default only the dates of these estimates. Without curves there
-      is one solution.
-    - `calibrate`: when the model is estimated again, as in [backtest], whose other keys also apply.
+    - `every`: the number of days from one solution to the next, each with the curve of its date.
+      The default is 30; if the model is estimated again, there are by default solutions only on the
+      dates of these estimates. Without curves there is one solution.
+    - `calibrate`: when the model is estimated again, as in [backtest]; the other keys of this table
+      apply too.
     - `hedge`: trades the hedges of [hedge] on each day with a curve.
-    - `policy`: a run, whose trained policy decides; by default the fitted value, with which
+    - `policy`: a run whose trained policy decides; by default the fitted value decides, with which
       training begins.
     - `out`: the folder of the tables, by default `backtest` next to the case.
 
@@ -75,7 +77,7 @@ def backtest(
     notes: list[str] = []
     first = solved_on(file, data, None, None, None)
     if first.case.model.calendar:
-        message = "a back-test decides each flow on its own day; leave out this key"
+        message = "a back-test decides each flow on the day of the flow; leave out this key"
         raise CaseError(str(file), "contract.nomination", None, message)
     observed = read_observed(history, first.case.model.proportional, notes)
     if policy is not None:
@@ -90,14 +92,14 @@ def backtest(
 
 
 def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
-    """The trained policy of a run, of the shape of `like`.
+    """The trained policy of a run, in the shape of `like`.
 
     **Raises:** `CaseError` if the run has no policy of this shape.
     """
     try:
         policy = load_policy(run / POLICY, Policy, like)
     except (PolicyFileError, OSError) as error:
-        message = "this is not a policy of this case"
+        message = "this policy does not fit this case"
         raise CaseError(str(run / POLICY), "", None, f"{message} ({error})") from None
     assert isinstance(policy, StoragePolicy)
     return policy
@@ -105,9 +107,9 @@ def trained_policy(run: Path, like: StoragePolicy) -> StoragePolicy:
 
 class DrawnHistories(NamedTuple):
     """The results of the rule on histories that its model draws: the total `money` [N] and the
-    `cash` [T, N] by day, discounted. `controls`: arrays [N] of mean zero. `groups` [N]: equal for
-    histories that depend on one another; None if all are independent. `paths`: the paths of all
-    price factors; None without a forward curve.
+    `cash` [T, N] by day, both discounted. `controls`: arrays [N] with mean zero. `groups` [N]:
+    equal for histories that depend on one another; None if all are independent. `paths`: the paths
+    of all price factors; None without a forward curve.
     """
 
     money: np.ndarray
@@ -139,7 +141,7 @@ def run_backtest(
     calibrate: str | int | None = None,
     hedge: bool = False,
 ) -> StoreBacktest:
-    """The back-test of a case that was read; `ledger`: its rule on the valuation date."""
+    """The back-test of a case after reading; `ledger`: its rule on the valuation date."""
     case, schedule = ledger.case, ledger.problem.schedule
     days, valuation = case.days, case.valuation_date
     if not days:
@@ -151,7 +153,7 @@ def run_backtest(
     plan = plan if calibrate is None else plan._replace(calibrate=calibrate)
     due = plan.due(days)
     if not curved and (due or hedge):
-        message = f"estimates of the model and hedges need a curve of {valuation} or earlier"
+        message = f"estimates of the model, and hedges, need a curve of {valuation} or earlier"
         raise CaseError(str(observed.folder / CURVES), "date", None, message)
     models = ModelHistory(file, data, observed, plan) if due else None
     curves = StepCurves(observed, valuation, days, case.end, case.has_end_price, spots)
@@ -220,7 +222,7 @@ def run_backtest(
 
 
 def _starts(count: int, every: int, due: frozenset[int]) -> tuple[int, ...]:
-    """The steps of solutions: every so many days from the last one, and with every estimate."""
+    """The steps with a solution: `every` days after the last solution, and at every estimate."""
     starts = [0]
     for t in range(1, count):
         if t - starts[-1] >= every or t in due:
@@ -229,7 +231,7 @@ def _starts(count: int, every: int, due: frozenset[int]) -> tuple[int, ...]:
 
 
 def _book(ledger: DatedRule, curves: StepCurves) -> HedgeBook:
-    """The hedges of the case, without a position."""
+    """The hedges of the case, before they have positions."""
     case, schedule = ledger.case, ledger.problem.schedule
     products = case.products or usual_products(case.days, case.valuation_date)
     hedges = (case.hedges or Hedges(usual_hedges(products.families))).daily
@@ -245,7 +247,7 @@ def _on(
     day: datetime.date,
     inventory: float | None,
 ) -> DatedRule:
-    """The rule on a date, with the curve known then."""
+    """The rule on a date, with the curve that is available on that date."""
     case = ledger.case
     needed = tuple(item for item in case.days if item >= day)
     if case.has_end_price:
@@ -257,8 +259,8 @@ def _on(
 def _drawn(rule: DatedRule, curved: bool, engine: Engine) -> DrawnHistories:
     """The rule on histories that its model draws.
 
-    Curves show all price factors, and one factor is known from the spot price. Else the rule sees
-    spot prices only, on the simulated histories too.
+    All price factors can be computed from curves, and a single factor from the spot price.
+    Otherwise the rule sees spot prices only, on the simulated histories too.
     """
     problem, seed = rule.problem, rule.case.training.seed
     if rule.filter is not None and (curved or rule.filter.gain.shape[1] == 1):
@@ -281,7 +283,7 @@ def _mark(
     cash: float,
     discount: float,
 ) -> MarkedPosition:
-    """A solution marked to its curve, with the rest of the contract on drawn paths."""
+    """A solution marked to its curve; the rest of the contract is valued on drawn paths."""
     fixed = float(rule.problem.schedule.constants.fixed_costs)
     kind = rule.case.contract.ratchets.interpolation
     plan = intrinsic(jax.tree.map(np.asarray, rule.problem.schedule), kind).value
@@ -293,7 +295,8 @@ def _mark(
 def _rolling(ledger: DatedRule, curves: StepCurves) -> float:
     """Rolling intrinsic on the curves of the folder, minus fixed costs.
 
-    Forwards trade on the dates of a curve; on others only the day itself, at its spot price.
+    Forwards are traded on the dates of a curve; on other dates only the day itself, at its spot
+    price.
     """
     case, schedule = ledger.case, jax.tree.map(np.asarray, ledger.problem.schedule)
     products = case.products or usual_products(case.days, case.valuation_date)

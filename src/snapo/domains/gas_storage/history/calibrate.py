@@ -40,8 +40,8 @@ def calibrate(
 
     `model.toml` has the table `[model]` of a case, `parameters.csv` the estimates with standard
     errors and 95 % intervals, `covariance.csv` their covariance, `states.csv` the filtered factors
-    of each date. `run`: a run of a case with such a model, whose value then gets the interval that
-    the parameters cause. Returns all of it as plain data.
+    of each date. `run`: a run of a case with such a model; the interval of its value that the
+    errors of the parameters cause is then computed. Returns all results as plain data.
 
     **Raises:** `CaseError` if the file, its prices or the run are wrong; nothing is written.
     """
@@ -92,7 +92,7 @@ class ParameterRow(NamedTuple):
 
 
 def parameter_rows(estimate: HistoryEstimate) -> tuple[ParameterRow, ...]:
-    """All parameters."""
+    """The rows of all parameters."""
     columns = (estimate.numbers, estimate.errors, estimate.low, estimate.high)
     rows = zip(estimate.names, *(column.tolist() for column in columns), estimate.unknown.tolist())
     return tuple(ParameterRow(*row) for row in rows)
@@ -137,7 +137,7 @@ def _write(folder: Path, calibration: Calibration, result: HistoryFit) -> None:
 
 
 def _toml(calibration: Calibration, result: HistoryFit) -> str:
-    """`[model]` with the intervals as comments."""
+    """The table `[model]`, with the intervals of the estimates as comments."""
     days, estimate = calibration.days, result.estimate
     lines = [
         f"# From {calibration.prices} prices of {days[0]} to {days[-1]}; "
@@ -154,7 +154,7 @@ def _toml(calibration: Calibration, result: HistoryFit) -> str:
 
 
 def derivatives_of(run: Path, kind: str) -> dict[str, float]:
-    """{parameter: derivative of the value of a run with respect to it}.
+    """{parameter: derivative of the value of a run with respect to this parameter}.
 
     **Raises:** `CaseError` if the run has a model of another kind, or no derivative with respect
     to any parameter.
@@ -170,7 +170,7 @@ def derivatives_of(run: Path, kind: str) -> dict[str, float]:
             table[name] = row.value
     if not table:
         message = (
-            "the run has no derivative with respect to a plain mean_reversion or volatility; "
+            "the run has no derivative with respect to one mean_reversion or one volatility; "
             "it must be a run of a case with a model that snapo calibrate estimates"
         )
         raise CaseError(str(run), "", None, message)
@@ -180,8 +180,9 @@ def derivatives_of(run: Path, kind: str) -> dict[str, float]:
 def value_interval(result: HistoryFit, derivatives: Mapping[str, float]) -> dict[str, Any]:
     """The standard error of a run's value that the errors of the parameters cause.
 
-    With the derivatives d of the value and the covariance C of the estimates it is sqrt(d C d), to
-    first order (the delta method). `shares`: the same with the error of each parameter only.
+    With the derivatives d of the value and the covariance C of the estimates the standard error is
+    sqrt(d C d), to first order (the delta method). `shares`: the standard error that the error of
+    each single parameter causes.
     """
     names = result.estimate.names
     slope = np.array([derivatives.get(name, 0.0) for name in names])
@@ -203,7 +204,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
         f"{answer['first']} to {answer['last']}, log-likelihood {answer['log_likelihood']:,.4f}"
     )
     if answer["status"] != "ok":
-        yield "the search did not reach a maximum: the numbers below are those at which it ended"
+        yield "the search did not reach a maximum; the numbers below are its last point"
     yield f"{'parameter':<20}{'estimate':>12}{'error':>12}   95 % interval"
     for row in answer["parameters"]:
         numbers = f"{row['estimate']:>12.5g}{row['standard_error']:>12.3g}"
@@ -216,7 +217,7 @@ def _lines(answer: Mapping[str, Any]) -> Iterator[str]:
     if "value" in answer:
         value = answer["value"]
         yield (
-            f"value of the run: ± {value['half_width']:,.4g} (95 %) due to the errors of these "
+            f"value of the run: ± {value['half_width']:,.4g} (95 %) from the errors of these "
             "parameters"
         )
-    yield f"table for a case: {answer['folder'] / TABLE}"
+    yield f"table [model] for a case: {answer['folder'] / TABLE}"

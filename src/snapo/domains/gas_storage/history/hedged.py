@@ -1,4 +1,4 @@
-"""The hedges of a back-test: traded on each day with a curve, from the prices until then.
+"""The hedges of a back-test, traded on each day with a curve, with the prices up to that day.
 
 Exposures are fitted on paths of the model of the last solution. Each day uses the exposures at its
 inventory, price factors and curve. Positions are marked to the curve of each day and deliver at the
@@ -24,7 +24,7 @@ Curves = Callable[[int], np.ndarray]  # of a step: forward prices of it and of l
 
 class HedgeDay(NamedTuple):
     """A hedge on a day: the `gain` of its positions since the day before, without costs, and the
-    `cost` and volume `traded` of the day's trades."""
+    `cost` and the volume `traded` of the trades of the day."""
 
     date: datetime.date
     hedge: str
@@ -52,8 +52,8 @@ class HedgePosition(NamedTuple):
 class HedgedStore:
     """The result with one hedge.
 
-    - `gain`: the gain of the hedge after its `cost`; `traded`: volume of all trades.
-    - `total`: the total of contract and hedge; `deviation`: standard deviation of the change of
+    - `gain`: the gain of the hedge after its `cost`; `traded`: the volume of all trades.
+    - `total`: the total of contract and hedge; `deviation`: the standard deviation of the change of
       this total, marked to the curve, from one solution to the next.
     """
 
@@ -69,8 +69,8 @@ class HedgedStore:
 class HedgeBook:
     """The positions of all hedges of a contract over its days.
 
-    - `curves`: the prices that are known at each step of the contract; step -1 is a valuation date
-      before the contract.
+    - `curves`: the prices that are available on each step of the contract; step -1 is a valuation
+      date before the contract.
     - `trading`: the steps at which a curve is published, so that positions can change.
     """
 
@@ -98,8 +98,8 @@ class HedgeBook:
         return self.daily.overnight.first
 
     def solve(self, start: int, after: int, paths: StorePaths) -> None:
-        """Takes the exposures of the steps from `start` to `after`, not included, from paths that
-        begin at `start`."""
+        """Fits the exposures of the steps from `start` up to, but not including, `after`, on paths
+        that begin at `start`."""
         self._start, self._paths = start, paths
         steps = range(self.first if start == 0 else start, after)
         products = {t - start: different(self._rows(t)) for t in steps if t in self.trading}
@@ -108,7 +108,7 @@ class HedgeBook:
     def trade(self, t: int, inventory: float, factors: np.ndarray) -> None:
         """Marks the positions and trades at the end of step t, after its flow.
 
-        `inventory` after it, `factors` [F] of the day.
+        `inventory`: after the flow; `factors` [F]: those of the day.
         """
         marked = [self._marked(held, t) for held in self.held]
         accounts = [HedgeAccount(self.discount, 1) for _ in self.held]
@@ -139,7 +139,7 @@ class HedgeBook:
         return sum(float(x[0]) for x in account.gain.values())
 
     def _ahead(self, t: int) -> np.ndarray:
-        """The prices of the dates after step t, as known on it."""
+        """The prices of the dates after step t, as seen on that step."""
         return self.curves(t)[1:] if t >= 0 else self.curves(t)
 
     def _positions(self, t: int, inventory: float, factors: np.ndarray) -> list[list[HeldVolume]]:
@@ -158,7 +158,7 @@ class HedgeBook:
         return [[x._replace(row=_renumbered(x.row, start)) for x in held] for held in now]
 
     def _rows(self, t: int) -> list[HeldProducts]:
-        """The products of each hedge, numbered from the day of the solution."""
+        """The products of each hedge, with days that are counted from the day of the solution."""
         return [
             tuple(_renumbered(row, -self._start) for row in rows) for rows in self.daily.held(t)
         ]
@@ -172,7 +172,7 @@ class HedgeBook:
 
 
 def _renumbered(row, steps: int):
-    """A product numbered from another day."""
+    """A product with days that are counted from another day."""
     block = row.block
     return row._replace(block=block._replace(first=block.first + steps, after=block.after + steps))
 
@@ -181,7 +181,7 @@ def hedged_results(
     book: HedgeBook, realised: float, marks: Sequence[tuple[datetime.date, float]]
 ) -> tuple[HedgedStore, ...]:
     """The result of each hedge of a contract whose cash flow was `realised`. `marks`: the date of
-    each solution, and the contract's cash flow so far plus its value on that date.
+    each solution, and the cash flow of the contract up to this date plus its value on this date.
     """
     results = []
     for hedge in book.daily.hedges:
@@ -202,5 +202,5 @@ def hedged_results(
 
 
 def change_deviation(sums: Sequence[float]) -> float:
-    """The standard deviation of the changes; NaN of fewer than two."""
+    """The standard deviation of the changes; NaN for fewer than two changes."""
     return float(np.std(np.diff(sums), ddof=1)) if len(sums) > 2 else np.nan

@@ -1,8 +1,9 @@
 """The Kalman filter of a Gaussian price model, one scalar price at a time, in plain JAX.
 
-The prices of a date are conditionally independent, so that each updates the state in turn. Only a
-variance is inverted: a measurement error may be exactly zero, and a missing price is not an update.
-Source: Durbin and Koopman (2012), "Time Series Analysis by State Space Methods", 6.4.
+The prices of a date are conditionally independent, so that the state is updated with one price
+after another. Only a scalar variance is inverted. A measurement error may therefore be exactly
+zero, and a missing price is skipped. Source: Durbin and Koopman (2012), "Time Series Analysis by
+State Space Methods", 6.4.
 """
 
 from typing import NamedTuple
@@ -21,7 +22,7 @@ class History(NamedTuple):
     - `value` [N, M]: X of each price; `present` [N, M]: whether there is a price.
     - `years` [N, M]: years to delivery; `phase` [N, M]: time of delivery as a share of its year.
     - `column` [N, M]: the series of each price, which determines the measurement error.
-    - `first` []: the X at which the long-term level begins on average.
+    - `first` []: the value of X at which the long-term level begins on average.
     """
 
     gap: Float[Array, " N"]
@@ -48,10 +49,11 @@ def filtered(
     history: History,
     initial: tuple[Array, Array] | None = None,
 ) -> Filtered:
-    """Log-likelihood and states; every price contributes its -ln(2 pi) / 2.
+    """The log-likelihood and the states; the log-likelihood includes the constant -ln(2 pi) / 2 of
+    every price.
 
     `initial`: mean [F] and covariance [F, F] of the state before the first price; by default those
-    of the model, which change with its parameters.
+    of the model, which depend on its parameters.
     """
     deviations = model.deviations(numbers)
 

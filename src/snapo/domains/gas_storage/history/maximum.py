@@ -1,9 +1,11 @@
-"""The largest likelihood by Newton's method from several starts, and intervals from its curvature.
+"""Maximum likelihood by Newton's method from several starts, and intervals from the curvature at
+the maximum.
 
 `maximise` searches from one start in plain JAX, so that many histories can be fitted together with
-`jax.vmap`; `fit` takes the best of several starts for one. The Hessian is exact. Away from the
-maximum the absolute values of its eigenvalues are used, so that each step rises (Nocedal and Wright
-(2006), "Numerical Optimization", section 3.4); a step that does not rise is halved.
+`jax.vmap`; `fit` takes the best result of several starts for one history. The Hessian is exact.
+Away from the maximum the absolute values of its eigenvalues are used, so that each step increases
+the likelihood (Nocedal and Wright (2006), "Numerical Optimization", section 3.4). A step that does
+not increase it is halved.
 """
 
 from collections.abc import Callable
@@ -37,7 +39,8 @@ DECADE, HALF_RANGE, SMALL_RATE, WIDE_LEVEL = 10.0, 1.0, 0.01, 0.5
 
 
 class Maximum(NamedTuple):
-    """`variables` [P], `value` [] and `hessian` [P, P] there, and whether it was reached."""
+    """A maximum: the `variables` [P], the `value` [] and the `hessian` [P, P] at it, and whether
+    the search reached it."""
 
     variables: Float[Array, " P"]
     value: Float[Array, ""]
@@ -46,7 +49,7 @@ class Maximum(NamedTuple):
 
 
 class _Search(NamedTuple):
-    """The best point so far, the next one, and the share of a full step to it."""
+    """The best point so far, the next point, and the share of a full step to it."""
 
     x: Array
     value: Array
@@ -59,7 +62,8 @@ class _Search(NamedTuple):
 
 
 def maximise(function: Callable[[Array], Array], start: Float[Array, " P"]) -> Maximum:
-    """The maximum of a smooth function of P unbounded variables, from a start; plain JAX."""
+    """The maximum of a smooth function of P unbounded variables, searched from one start; plain
+    JAX."""
 
     def slope(x):
         value, gradient = jax.value_and_grad(function)(x)
@@ -95,9 +99,9 @@ def maximise(function: Callable[[Array], Array], start: Float[Array, " P"]) -> M
 
 @dataclass(frozen=True, eq=False)
 class HistoryEstimate:
-    """The P parameters with the largest likelihood, in the order of the model's names.
+    """The P parameters with the largest likelihood, in the order of the names of the model.
 
-    - `numbers`, `errors` [P]: estimates and standard errors, in the parameters' own units.
+    - `numbers`, `errors` [P]: estimates and standard errors, in the units of the parameters.
     - `low`, `high` [P]: the 95 % interval, which is symmetric in the logarithm for positive
       parameters.
     - `covariance` [P, P]: the covariance of the estimates.
@@ -119,7 +123,7 @@ class HistoryEstimate:
 def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
     """Intervals from the observed information, the negative Hessian in unbounded variables.
 
-    Must be called in the precision of the search for the maximum.
+    It must be called in the same precision as the search for the maximum.
     """
     x, hessian = np.asarray(maximum.variables), np.asarray(maximum.hessian)
     curvature, axes = np.linalg.eigh(-hessian)
@@ -144,10 +148,12 @@ def estimate_of(model: HistoryModel, maximum: Maximum) -> HistoryEstimate:
 
 
 def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarray:
-    """[P] whether an interval is too wide to be useful. For a positive parameter the upper end is
-    more than ten times the lower end. For a correlation the interval is longer than half of the
-    range from -1 to 1. For a rate not even the sign is certain, and the rate may be above 1 % a
-    year. For a level the interval is more than half a unit of the logarithm in either direction.
+    """[P] whether an interval is too wide to be useful.
+
+    This is so for a positive parameter if the upper end is more than ten times the lower end; for a
+    correlation if the interval is longer than half of the range from -1 to 1; for a rate if not
+    even its sign is certain and it may be above 1 % a year; and for a level if the interval extends
+    more than half a unit of the logarithm in either direction.
     """
     width, unit = (high - low) / 2, model.units()
     table = {
@@ -165,8 +171,8 @@ def unknown(model: HistoryModel, low: np.ndarray, high: np.ndarray) -> np.ndarra
 class HistoryFit:
     """The estimates of a calibration.
 
-    - `model`: the model, whose `exact` also has the series without a measurement error according
-      to the estimate.
+    - `model`: the model; its `exact` also has the series whose measurement error is estimated as
+      zero.
     - `estimate`: the estimates; `states`: the filtered factors of each date at the estimates, as
       NumPy arrays.
     - `vanished`: the series whose measurement error vanished at the maximum.
@@ -201,7 +207,7 @@ def fit(calibration: Calibration) -> HistoryFit:
 
 
 def _best(model: HistoryModel, calibration: Calibration, starts: np.ndarray) -> Maximum:
-    """The highest of the maxima that are reached from the starts [n, P]."""
+    """The highest of the maxima that the searches from the starts [n, P] reach."""
     history = jax.tree.map(jnp.asarray, padded(calibration.history))
     maxima = _maxima(model, history, jnp.asarray(starts))
     value = np.where(np.isfinite(maxima.value), maxima.value, -np.inf)
@@ -211,7 +217,7 @@ def _best(model: HistoryModel, calibration: Calibration, starts: np.ndarray) -> 
 
 @compiled_sooner
 def _maxima(model: HistoryModel, history: History, starts: Array) -> Maximum:
-    """The maximum that is reached from each start [n, P]."""
+    """The maxima that the searches from the starts [n, P] reach."""
 
     def search(start):
         return maximise(lambda x: log_likelihood(model, model.numbers(x), history), start)
@@ -225,15 +231,16 @@ def _states(model: HistoryModel, numbers: Array, history: History) -> Filtered:
 
 
 def padded(history: History) -> History:
-    """The history, extended by dates without prices and without elapsed time, so that histories of
-    almost the same length need one compilation."""
+    """The history, extended by dates without prices at the time of the last date, so that histories
+    of almost the same length need only one compilation."""
     more = -len(history.gap) % DATES
     rows: Any = (np.pad(x, [(0, more)] + [(0, 0)] * (x.ndim - 1)) for x in history[:-1])
     return History(*rows, first=history.first)
 
 
 def _starts(model: HistoryModel, calibration: Calibration) -> np.ndarray:
-    """[n, P] variables: volatilities as the series move, at several mean reversions."""
+    """[n, P] the variables of the starts: volatilities that match the moves of the series, with
+    several mean reversions."""
     history = calibration.history
     movements = [_movement(calibration, i) for i in range(len(model.columns))]
     yearly = np.array([size / np.sqrt(time) for size, time in movements])
@@ -254,9 +261,10 @@ def _starts(model: HistoryModel, calibration: Calibration) -> np.ndarray:
 
 
 def _movement(calibration: Calibration, column: int) -> tuple[float, float]:
-    """Standard deviation of a series between two dates, not zero, and the time between them.
+    """The standard deviation of the change of a series between two dates, which is not zero, and
+    the time between them.
 
-    Of several prices of a date the first counts.
+    If a date has several prices, the first one is used.
     """
     history = calibration.history
     mask = np.asarray(history.present) & (np.asarray(history.column) == column)
@@ -271,7 +279,7 @@ def _movement(calibration: Calibration, column: int) -> tuple[float, float]:
 
 
 def _vanishing(model: HistoryModel, maximum: Maximum, calibration: Calibration) -> str | None:
-    """The series whose measurement error tends to zero; None if no further series may be exact."""
+    """The series whose measurement error tends to zero; None if no more series may be exact."""
     numbers = dict(zip(model.names, np.asarray(model.numbers(maximum.variables))))
     for i, name in enumerate(model.columns):
         deviation = numbers.get(f"deviation_{name}")

@@ -1,8 +1,8 @@
-"""Gaussian price models of `[model]` as a hidden state, and prices that are linear in it.
+"""Gaussian price models of `[model]`: a hidden state, and prices that are linear in it.
 
 With X = ln(S + h), or S itself for normal prices, X(T) = chi + xi + g(T):
 
-    d chi = -a chi dt + s dW          the short-term factor, of mean zero
+    d chi = -a chi dt + s dW          the short-term factor, with mean zero
     d xi  = m dt + l dZ               the long-term level, dW dZ = rho dt; constant for one factor
     g(T)  = sum_k c_k cos(2 pi k T) + d_k sin(2 pi k T)    a season of the year of delivery
 
@@ -29,7 +29,8 @@ POSITIVE, CORRELATION, RATE, LEVEL, SHAPE = "positive", "correlation", "rate", "
 
 
 class HistoryParameter(NamedTuple):
-    """A parameter: its name, and its role, which determines its scale and when it is unknown.
+    """A parameter: its name, and its role, which determines its scale and the test by which it
+    counts as unknown.
 
     `role`: "positive" is estimated as a logarithm, "correlation" as an inverse hyperbolic tangent;
     "rate" is a drift per year, "level" a mean, "season" an amplitude.
@@ -41,13 +42,13 @@ class HistoryParameter(NamedTuple):
 
 @dataclass(frozen=True)
 class HistoryModel:
-    """A Gaussian model, and which parameters the history can determine.
+    """A Gaussian model, and the parameters that a history can determine.
 
     - `kind`: as in `[model]`; `factors`: 1 or 2; `normal`: whether X is the price itself.
     - `shift`: h; `harmonics`: the harmonics of the season.
-    - `quoted`: whether there are forward prices, the only ones that depend on the pricing measure.
-    - `columns`: names of the observed series; `exact`: those without a measurement error.
-    - `unit`: typical size of a movement of X: 1 for logarithms, an amount of money for normal
+    - `quoted`: whether there are forward prices; only these depend on the pricing measure.
+    - `columns`: the names of the observed series; `exact`: the series without a measurement error.
+    - `unit`: the typical size of a move of X: 1 for logarithms, an amount of money for normal
       prices.
     """
 
@@ -81,12 +82,12 @@ class HistoryModel:
         return tuple(parameter.name for parameter in self.parameters)
 
     def units(self) -> np.ndarray:
-        """[P] size of each parameter's numbers: those of X are in its unit."""
+        """[P] the scale of each parameter; parameters in units of X have the scale `unit`."""
         pure = ("mean_reversion", "correlation")
         return np.array([1.0 if name in pure else self.unit for name in self.names])
 
     def numbers(self, variables: Float[Array, " P"]) -> Float[Array, " P"]:
-        """The parameters of unbounded variables."""
+        """The parameters that belong to unbounded variables."""
         roles = [parameter.role for parameter in self.parameters]
         positive = np.array([role == POSITIVE for role in roles])
         bounded = np.array([role == CORRELATION for role in roles])
@@ -96,7 +97,7 @@ class HistoryModel:
         return jnp.where(bounded, jnp.tanh(clipped), numbers * self.units())
 
     def variables(self, numbers: np.ndarray) -> np.ndarray:
-        """The unbounded variables of parameters."""
+        """The unbounded variables that belong to parameters."""
         table = {POSITIVE: np.log, CORRELATION: np.arctanh}
         scaled = np.asarray(numbers, np.float64) / self.units()
         return np.array([
@@ -105,18 +106,19 @@ class HistoryModel:
         ])  # fmt: skip
 
     def by_name(self, numbers) -> dict[str, Any]:
-        """{name: number} with 0 for a parameter that the model does not have."""
+        """{name: number}, with 0 for a parameter that the model does not have."""
         table = dict(zip(self.names, numbers))
         names = [name for name, _ in (*TWO, *PRICED_TWO, *ONE, *PRICED)]
         return {name: table.get(name, 0.0) for name in (*names, *self.names)}
 
     def deviations(self, numbers) -> Float[Array, " columns"]:
-        """The standard deviation of the error of each series; exactly 0 for those of `exact`."""
+        """The standard deviation of the measurement error of each series; exactly 0 for the series
+        in `exact`."""
         table = self.by_name(numbers)
         return jnp.stack([jnp.asarray(table.get(f"deviation_{x}", 0.0)) for x in self.columns])
 
     def transition(self, numbers, gap) -> tuple[Array, Array, Array]:
-        """Decay [F], drift [F] and covariance [F, F] of the state over a time in years."""
+        """The decay [F], drift [F] and covariance [F, F] of the state over a time in years."""
         p = self.by_name(numbers)
         decay, covariance = jnp.exp(-p["mean_reversion"] * gap), self.covariance(p, gap)
         if self.factors == 1:
@@ -124,14 +126,15 @@ class HistoryModel:
         return jnp.stack([decay, 1.0]), jnp.stack([0.0, p["drift"] * gap]), covariance
 
     def covariance(self, p: dict[str, Any], time) -> Float[Array, "2 2"]:
-        """The covariance of both factors after a time, known at its start."""
+        """The covariance of both factors after a time, if they are known at its start."""
         speed = p["mean_reversion"]
         short = p["volatility"] ** 2 * integral(2 * speed, time)
         both = p["correlation"] * p["volatility"] * p["long_volatility"] * integral(speed, time)
         return jnp.array([[short, both], [both, p["long_volatility"] ** 2 * time]])
 
     def observed(self, numbers, years, phase) -> tuple[Array, Array]:
-        """Constant and loadings [F] of the price delivered in `years`; `phase`: in the year.
+        """The constant and the loadings [F] of the price for delivery in `years`; `phase`: the time
+        of delivery as a share of its year.
 
         A spot price has `years` 0.
         """
@@ -150,9 +153,9 @@ class HistoryModel:
         return constant, jnp.stack([loading, jnp.ones_like(loading)])[: self.factors]
 
     def initial(self, numbers, first) -> tuple[Array, Array]:
-        """Mean [F] and covariance [F, F] before the first price, whose X is `first`. The
-        short-term factor has its stationary distribution; the long-term level has a deviation of
-        `unit`.
+        """The mean [F] and the covariance [F, F] of the state before the first price; `first`: the
+        value of X for that price. The short-term factor has its stationary distribution; the
+        long-term level has the standard deviation `unit`.
         """
         p = self.by_name(numbers)
         stationary = p["volatility"] ** 2 / (2 * p["mean_reversion"])

@@ -1,4 +1,4 @@
-"""The prices of a back-test: spot prices and forward curves by the date of their publication."""
+"""The prices of a back-test: spot prices and forward curves, by the date of publication."""
 
 import datetime
 from bisect import bisect_right
@@ -29,10 +29,10 @@ class ForwardQuote(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class ObservedMarket:
-    """Prices of a folder, by date.
+    """The prices in a folder, by date.
 
     - `folder`; `spot_days`, `spot_prices`: rising dates, and the spot price of each.
-    - `curve_days`, `curves`: rising dates, and the quotes of each; empty without a file of curves.
+    - `curve_days`, `curves`: rising dates, and the quotes on each; empty without a file of curves.
     """
 
     folder: Path
@@ -57,13 +57,13 @@ class ObservedMarket:
         return self.spot_prices[position]
 
     def has_curve(self, day: datetime.date) -> bool:
-        """Whether a forward curve was known on a day."""
+        """Whether a forward curve had been published by a day."""
         return bool(self.curve_days) and self.curve_days[0] <= day
 
     def curve(self, day: datetime.date, days: Sequence[datetime.date]) -> np.ndarray:
-        """[n] the forward prices of days, from the last curve that is known on a day. A day of
-        delivery has the price of the shortest product that contains it; days before the first
-        product have the spot price.
+        """[n] the forward prices of days, from the last curve that had been published by a day. A
+        day of delivery has the price of the shortest product that contains it; days before the
+        first product have the spot price.
 
         **Raises:** `CaseError` if a later day is in no product.
         """
@@ -88,11 +88,11 @@ class ObservedMarket:
 
 @dataclass(frozen=True, eq=False)
 class StepCurves:
-    """The prices of a contract: on step t, [T + 1 - t] for the day, later days and the end date.
-    Step -1 has the prices of the valuation date, [T + 1].
+    """The prices of a contract: on step t, [T + 1 - t] prices for the day, later days and the end
+    date. Step -1 has the prices of the valuation date, [T + 1].
 
-    - `days` [T], `end`: the dates of the contract; `end_price`: whether the price of the end date
-      counts.
+    - `days` [T], `end`: the dates of the contract; `end_price`: whether a price is needed on the
+      end date.
     - `spots` [T + 1]: spot prices of the same dates.
     """
 

@@ -47,7 +47,7 @@ class HistoryTable(CaseTable):
     )
     maturities: str | None = doc(
         "forward prices by time to delivery", None,
-        "a CSV file with a column date, and a column of prices for each number of months ahead",
+        "a CSV file with a column date, and a column of prices for each time to delivery in months",
     )  # fmt: skip
     first: DateKey | None = doc("first date used", None, f"{DATE}: earlier prices are left out")
     last: DateKey | None = doc("last date used", None, f"{DATE}: later prices are left out")
@@ -55,7 +55,7 @@ class HistoryTable(CaseTable):
     exact: list[str] | None = doc(
         "series without a measurement error", None, 'names of series, such as ["spot"]'
     )
-    season: Literal[0, 1, 2] = doc("number of waves in the season of a year", 0)
+    season: Literal[0, 1, 2] = doc("number of waves of the seasonal pattern in a year", 0)
 
 
 @optional("shift", note=": all prices are above minus this number")
@@ -72,8 +72,8 @@ FORMATS = {"": CalibrationTable, "history": HistoryTable, "model": GaussianTable
 
 
 class ObservedPrice(NamedTuple):
-    """A price of a date: its series, years to delivery, time of the year, and its cell, if it was
-    read from one."""
+    """A price on a date: its series, years to delivery, time of delivery as a share of the year,
+    and its cell if it was read from a file."""
 
     day: datetime.date
     series: str
@@ -84,7 +84,7 @@ class ObservedPrice(NamedTuple):
     column: str = ""
 
     def error(self, message: str) -> CaseError:
-        """Its fault."""
+        """An error about this price, with its cell if it has one."""
         if self.row is None:
             return CaseError(self.series, self.day.isoformat(), self.price, message)
         return self.row.error(self.column, message)
@@ -96,7 +96,8 @@ class Calibration:
 
     - `file`, `title`: the file and its title; `days` [N]: the days with prices; `prices`: the
       number of prices.
-    - `model`, `history`: both in the form that the filter needs. `notes`: notes for the user.
+    - `model`, `history`: the model and the prices, in the form that the filter needs. `notes`:
+      notes for the user.
     """
 
     file: Path
@@ -120,7 +121,9 @@ def read_calibration(path: Path) -> Calibration:
     model = parse(GaussianTable, top.model, str(file), "model", notes)
     section = TableContext(file, "history", notes)
     if (model.kind == "one-factor-shifted") != (model.shift is not None):
-        message = 'kind "one-factor-shifted" needs a shift above 0, and no other kind takes one'
+        message = (
+            'kind "one-factor-shifted" needs a shift above 0, and no other kind may have a shift'
+        )
         raise TableContext(file, "model", notes).error("shift", model.shift, message)
     first, last = table.first or datetime.date.min, table.last or datetime.date.max
     if first > last:
@@ -172,7 +175,7 @@ def calibration_of(
 
 
 def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPrice]:
-    """All prices of all files; an empty cell is a missing one."""
+    """All prices of all files; an empty cell is a missing price."""
     if table.spot is not None:
         rows = read_rows(FileReference(section, "spot", table.spot), ("date", "price"))
         for day, row in zip(rising_dates(rows), rows):
@@ -191,10 +194,12 @@ def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPric
             first, last = _product(row)
             day = row.day("date")
             if (day, first, last) in visited:
-                raise row.error("product", f"an earlier row has its price of {day} already")
+                raise row.error(
+                    "product", f"an earlier row already has the price of this product on {day}"
+                )
             visited.add((day, first, last))
             if first < day:
-                message = f"its first day is {first}; its delivery must not have begun"
+                message = f"its delivery begins on {first}, before the date of the price"
                 raise row.error("product", message)
             yield from _observed(row, "price", "quotes", day, first + (last - first) / 2)
 
@@ -207,11 +212,11 @@ def _months(row: Row) -> dict[str, int]:
             continue
         match = MONTHS.fullmatch(column)
         if match is None or int(match[1]) > LATEST:
-            message = "a column is named by its months to delivery, such as 1, F5 or month 13"
+            message = "a column must be named by its months to delivery, such as 1, F5 or month 13"
             raise CaseError(row.file, "header", column, message)
         months[column] = int(match[1])
     if not months:
-        message = "there is no column of prices; one is named by its months to delivery, such as F5"
+        message = "there is no column of prices; name it by its months to delivery, such as F5"
         raise CaseError(row.file, "header", "date", message)
     return months
 
@@ -227,7 +232,8 @@ def _product(row: Row) -> tuple[datetime.date, datetime.date]:
 def _observed(
     row: Row, column: str, series: str, day: datetime.date, ahead: float | datetime.date
 ) -> Iterator[ObservedPrice]:
-    """The price of a cell, delivered in so many years or on a day; nothing for an empty cell."""
+    """The price of a cell, for delivery `ahead`: after a number of years, or on a day; nothing for
+    an empty cell."""
     if row.cells[column] == "":
         return
     yield observed_price(day, series, ahead, row.number(column))._replace(row=row, column=column)
@@ -246,9 +252,9 @@ def observed_price(
 def _check_sign(prices: Sequence[ObservedPrice], shift: float) -> None:
     for price in prices:
         if price.price + shift <= 0:
-            message = f"it must be a number above {-shift:g}, whose logarithm the model needs"
+            message = f"it must be a number above {-shift:g}, because the model uses its logarithm"
             if not shift:
-                message += '; kind = "one-factor-normal" has prices of any sign'
+                message += '; kind = "one-factor-normal" allows prices of any sign'
             raise price.error(message)
 
 
@@ -275,7 +281,8 @@ def _check_amount(section: TableContext, model: HistoryModel, days, prices) -> N
 
 
 def _check_exact(model: HistoryModel, prices: Sequence[ObservedPrice]) -> None:
-    """As many prices of a date as factors may be exact, of different deliveries."""
+    """Refuses exact series if a date has more exact prices than the model has factors, or two with
+    the same delivery."""
     count: dict[datetime.date, set[float]] = {}
     for price in prices:
         if price.series not in model.exact:
@@ -297,7 +304,7 @@ def _history(
     days: Sequence[datetime.date],
     step: float | None,
 ) -> History:
-    """Prices by date, as many columns as the date with the most of them."""
+    """The prices by date, with as many columns as the largest number of prices on a date."""
     index = {day: i for i, day in enumerate(days)}
     rows: list[list[ObservedPrice]] = [[] for _ in days]
     for price in prices:

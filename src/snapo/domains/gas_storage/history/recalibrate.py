@@ -1,4 +1,5 @@
-"""The model of a back-test, estimated again on some days from the prices until then."""
+"""The model of a back-test, estimated again on some days from the prices up to each of these
+days."""
 
 import datetime
 from collections.abc import Mapping, Sequence
@@ -29,10 +30,11 @@ NEEDED = frozenset(INPUTS.values())  # by a case: its curve is that of the marke
 
 @dataclass(frozen=True)
 class DatedEstimate:
-    """An estimate on a date, from the `prices` that were known then.
+    """An estimate on a date; `prices`: the number of prices up to that date.
 
-    - `parameters`: the estimates, none if there are too few prices.
-    - `model`: the table of a case; `reason`: why the previous model is used, "" if it is not.
+    - `parameters`: the estimates; none if there are too few prices.
+    - `model`: the table `[model]` from this date on; `reason`: why this is the previous model, ""
+      if it is the new model.
     """
 
     date: datetime.date
@@ -42,14 +44,14 @@ class DatedEstimate:
     reason: str = ""
 
     def as_data(self) -> dict[str, Any]:
-        """For JSON."""
+        """The estimate as data for JSON."""
         rows = [row._asdict() for row in self.parameters]
         return asdict(self) | {"date": self.date.isoformat(), "parameters": rows}
 
 
 @dataclass(eq=False)
 class ModelHistory:
-    """The tables of a case with the latest model, and the estimates so far.
+    """The tables of a case with the last estimated model, and all estimates so far.
 
     **Raises:** `CaseError` if the plan needs estimates, but the model of the case cannot be
     estimated.
@@ -70,7 +72,8 @@ class ModelHistory:
         self.prices = list(_prices(self.observed, self.plan.prices == BOTH))
 
     def estimate(self, day: datetime.date) -> DatedEstimate:
-        """Estimates the model of a day; `data` has it from now on, if it is determined."""
+        """Estimates the model on a day; `data` has this model from then on if the history
+        determines it."""
         prices = self._until(day)
         rows, table, reason = (), self.data["model"], ""
         try:
@@ -106,7 +109,8 @@ class ModelHistory:
 
 
 def _prices(observed: ObservedMarket, curves: bool):
-    """All prices: of the spot, and of products that have not begun and are not too long."""
+    """All prices: spot prices, and prices of products whose delivery has not begun and is not too
+    long."""
     for day, price in zip(observed.spot_days, observed.spot_prices):
         yield observed_price(day, "spot", day, price)
     for day in observed.curve_days if curves else ():

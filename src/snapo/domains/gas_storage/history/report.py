@@ -1,4 +1,5 @@
-"""The report of a back-test: realised result against expectation, with and without hedges."""
+"""The report of a back-test: the realised result compared with the expectation, with and without
+hedges."""
 
 import datetime
 from string import ascii_uppercase
@@ -47,7 +48,7 @@ METHOD = (
 
 
 class Month(NamedTuple):
-    """A month of the contract; money discounted to the valuation date."""
+    """A month of the contract; money is discounted to the valuation date."""
 
     name: str
     spot: float
@@ -68,7 +69,7 @@ def page(result: StoreBacktest, case: StorageCase, history: str) -> str:
     ]
     sections = [_outcome(result, case), _cash(result, case), _positions(result, case)]
     sections += [_months(result, case), _solutions(result, case), _estimates(result)]
-    footer = f"Made by snapo {__version__} from a case and past prices; the page sends nothing."
+    footer = f"Made by snapo {__version__} from a case and past prices; the page uses no network."
     return render(Page(f"Back-test: {case.title}", about, sections, footer))
 
 
@@ -77,7 +78,7 @@ def _key(hedge: HedgedStore | HedgeDay | HedgePosition) -> str:
 
 
 def _letters(result: StoreBacktest) -> dict[str, str]:
-    """{hedge: its name in charts}, which the table of hedges explains."""
+    """{hedge: its name in charts}; the table of hedges explains these names."""
     return {_key(x): f"Hedge {ascii_uppercase[i % 26]}" for i, x in enumerate(result.hedges)}
 
 
@@ -95,9 +96,15 @@ def _outcome(result: StoreBacktest, case: StorageCase) -> Section:
     spread = f"{half}; standard deviation of one history {number(result.deviation)}"
     facts = [("Expected", f"{currency} {expected}", spread)]
     if result.rolling is not None:
-        facts.append(("Rolling intrinsic", money(result.rolling, currency, digits), "same curves"))
+        facts.append(
+            ("Rolling intrinsic", money(result.rolling, currency, digits), "on the same curves")
+        )
     facts.append(
-        ("Intrinsic at start", money(result.marks[0].intrinsic, currency, digits), "first curve")
+        (
+            "Intrinsic at start",
+            money(result.marks[0].intrinsic, currency, digits),
+            "at the first curve",
+        )
     )
     bars = [Bar("Contract", result.realised, strong=True), Bar("Expected", result.expected,
             result.error)]  # fmt: skip
@@ -113,7 +120,7 @@ def _outcome(result: StoreBacktest, case: StorageCase) -> Section:
 
 
 def _marks(result: StoreBacktest, case: StorageCase, digits: int) -> list[Mark]:
-    """Whether the history is a probable one of the model, and whether rolling intrinsic did
+    """Marks: whether the history is probable in the model, and whether rolling intrinsic did
     better."""
     probable = TAIL <= result.share <= 1 - TAIL
     where = "within" if probable else "outside"
@@ -125,7 +132,7 @@ def _marks(result: StoreBacktest, case: StorageCase, digits: int) -> list[Mark]:
 
 
 class HedgeLine(NamedTuple):
-    """A line of the table of hedges."""
+    """A row of the table of hedges."""
 
     name: str
     gain: float
@@ -166,14 +173,14 @@ def _hedges(result: StoreBacktest, case: StorageCase) -> Block:
     ]
     caption = (
         "Profit and loss with each hedge, after its costs. The standard deviation is that of the "
-        "change from one solution to the next, with the position marked to the curve"
+        "change of contract and hedge together from one solution to the next, marked to the curve"
     )
     return table(rows, columns, caption)
 
 
 def _gains(result: StoreBacktest) -> dict[str, np.ndarray]:
-    """{name of a hedge in charts: [T] its gain of each day, minus costs}; the gain of days before
-    the first one is in that of the first."""
+    """{name of a hedge in charts: [T] its gain on each day, minus costs}; the gain before the first
+    day is added to that of the first day."""
     index = {day: t for t, day in enumerate(result.days)}
     gains = {_key(x): np.zeros(len(result.days)) for x in result.hedges}
     for x in result.hedge_days:
@@ -213,7 +220,8 @@ def _cash(result: StoreBacktest, case: StorageCase) -> Section:
 
 
 def _marked(result: StoreBacktest, case: StorageCase) -> Chart:
-    """Cash so far and expectation of the rest, on the dates of the solutions and at the end."""
+    """The cash so far plus the expectation of the rest, on the dates of the solutions and at the
+    end."""
     dates = [mark.date for mark in result.marks]
     when = date_numbers([day.isoformat() for day in (*dates, result.days[-1])])
     values = np.array([*(mark.cash + mark.expected for mark in result.marks), result.realised])
@@ -255,7 +263,7 @@ def _positions(result: StoreBacktest, case: StorageCase) -> Section:
 
 
 def _sold(result: StoreBacktest, case: StorageCase) -> Chart:
-    """The volume that each hedge has sold at the end of each day, of all products."""
+    """The volume that each hedge has sold in all products at the end of each day."""
     dates = sorted({x.date for x in result.positions})
     index, names = {day: t for t, day in enumerate(dates)}, _letters(result)
     volumes = {names[_key(x)]: np.zeros(len(dates)) for x in result.hedges}
@@ -271,9 +279,9 @@ def _sold(result: StoreBacktest, case: StorageCase) -> Chart:
         "sold", f"Largest net volume of the hedges: {alt}.",
         lambda axes: charts.lines(axes, when, lines, case.volume_unit), 230,
     )  # fmt: skip
-    caption = "Net volume that a hedge has sold in all products, at the end of a day."
+    caption = "Net volume that each hedge has sold in all products, at the end of each day."
     if len(volumes) > FEW:
-        caption += f" The first {FEW} of {len(volumes)} hedges."
+        caption += f" The chart shows the first {FEW} of {len(volumes)} hedges."
     return Chart(svg, caption)
 
 
@@ -308,7 +316,7 @@ def _months(result: StoreBacktest, case: StorageCase) -> Section:
         Column(name, lambda row, k=k: row.gains[k], case.currency, sign=True)
         for k, name in enumerate(names)
     ]
-    caption = "By month, discounted; a hedge's column is its gain minus costs"
+    caption = "By month, discounted; the column of a hedge has its gain minus its costs"
     if not names:
         caption = "By month, discounted"
     return Section("months", "By month", "Months", [table(_by_month(result), columns, caption)])

@@ -30,8 +30,8 @@ class MarkedPosition:
     - `date`, `inventory`: the date and the gas in store; `cash`: the realised cash flow so far,
       discounted to the first valuation date.
     - `expected`, `standard_error`: the expected cash flow of the rest of the contract and its
-      error, on paths of the model around the curve of the date; `intrinsic`: its cash flow with the
-      best fixed plan; all discounted to the same date.
+      error, on paths of the model around the curve of the date; `intrinsic`: the cash flow of the
+      best fixed plan for the rest. All are discounted to the same date.
     """
 
     date: datetime.date
@@ -49,15 +49,16 @@ class StoreBacktest:
     - `days`, `spots`, `inventory` (after each day), `injection`, `withdrawal`, `cash` [T]: the
       results by day; `expected_cash` [T]: the mean on the first valuation date.
     - `band`: [T] 5 and 95 % quantiles of the cash flow so far on simulated histories.
-    - `realised`: the sum of the cash, the value of the gas left, and fixed costs.
-    - `expected`, `error`: the mean of this sum on simulated histories of the model, and the
+    - `realised`: the sum of the cash and the value of the gas left, minus fixed costs.
+    - `expected`, `error`: the mean of this sum on simulated histories of the model, and its
       standard error; `deviation`: the standard deviation of one history; `share`: the share of
       histories that earn less than `realised`.
     - `rolling`: the result of rolling intrinsic on the same curves; None without curves.
-    - `marks`: the marks of every solution. `mark_deviation`: the standard deviation of the change
-      of the marked position from one solution to the next, NaN for fewer than two changes.
+    - `marks`: for every solution, the position marked to the curve of its date. `mark_deviation`:
+      the standard deviation of the change of the marked position from one solution to the next, NaN
+      for fewer than two changes.
     - `estimates`: the estimates of the model, on their dates; `hedges`: the result with each hedge;
-      `hedge_days`, `positions`: the same by day.
+      `hedge_days`, `positions`: the results and the positions of the hedges by day.
     """
 
     days: tuple[datetime.date, ...]
@@ -118,7 +119,8 @@ def _names(record: type) -> tuple[str, ...]:
 
 
 def _estimate_rows(estimates: Sequence[DatedEstimate]) -> Iterator[tuple]:
-    """A row for each parameter; one without a parameter if there is no estimate."""
+    """A row for each parameter of each estimate; a row without a parameter if there is no
+    estimate."""
     for x in estimates:
         about = x.date, x.prices, "no" if x.reason else "yes", x.reason
         for *numbers, unknown in x.parameters:
@@ -184,7 +186,7 @@ def _table(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
 
 
 def _estimates(rows: Sequence[Mapping[str, Any]]) -> Iterator[str]:
-    """The parameters that the case takes, with their 95 % intervals."""
+    """The estimated parameters that a case has as keys, with their 95 % intervals."""
     parts = {x["parameter"] for row in rows for x in row["parameters"]}
     names = [name for name in dict.fromkeys(INPUTS.values()) if name in parts]
     yield f"{'estimated on':<14}{'prices':>8}  " + "".join(f"{name:<32}" for name in names)
@@ -203,7 +205,8 @@ def _interval(row: Mapping[str, Any] | None) -> str:
 
 
 def _hedges(answer: Mapping[str, Any]) -> Iterator[str]:
-    """Contract, hedge and both; the deviation is that of the marked total between solutions."""
+    """The result of the contract, of the hedge, and of both. The deviation is that of the change of
+    the marked total from one solution to the next."""
     yield (
         f"{'hedge':<52}{'contract':>14}{'hedge':>14}{'both':>14}{'deviation':>14}{'traded':>14}"
         f"{'cost':>12}"

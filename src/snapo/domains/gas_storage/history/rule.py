@@ -1,8 +1,8 @@
-"""A rule that decides on spot prices, day by day, without seeing later ones.
+"""A rule that decides from spot prices, day by day, without seeing later prices.
 
-A spot price is one number, and a model may have several factors. A Kalman filter gives their mean
-conditional on all prices so far: the prices are exact and linear in the factors, so that its gains
-depend on the model only.
+A spot price is one number, but a model may have several factors. A Kalman filter computes the mean
+of the factors conditional on all prices so far. Prices have no measurement error and are linear in
+the factors, so that the gains of the filter depend on the model only.
 """
 
 import datetime
@@ -34,7 +34,8 @@ ROOM = 1e-10  # variance of the fast factor, for a first price that is not the f
 
 
 class SpotFilter(NamedTuple):
-    """`gain` and `decay` [T, F]: of the price of a day, and of the factors since the day before."""
+    """`gain` [T, F]: the gain for the price of each day; `decay` [T, F]: the decay of the factors
+    since the day before."""
 
     gain: np.ndarray
     decay: np.ndarray
@@ -42,9 +43,9 @@ class SpotFilter(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class DatedRule:
-    """A policy that was solved on a date, and its problem, whose first day is the first that the
-    policy decides. `filter`: the filter of the price factors; without a filter a spot price moves
-    the fast factor only. `prices`: the curve of the date with its loadings on the factors.
+    """A policy of a solution on a date, and its problem, which begins on the first day that the
+    policy decides. `filter`: the filter of the price factors; without a filter, a spot price
+    changes the fast factor only. `prices`: the curve of the date with its loadings on the factors.
     """
 
     case: StorageCase
@@ -54,11 +55,11 @@ class DatedRule:
     prices: PathCurves | None = None
 
     def from_curve(self, t: int, before: np.ndarray, spot: float, curve: np.ndarray) -> np.ndarray:
-        """[1, F] the factors of the rule's day `t` from its spot price and its curve.
+        """[1, F] the factors on day `t` of the rule, from its spot price and its curve.
 
         `curve` [T + 1 - t]: the forward prices of the day and of all later days. The spot price is
-        matched exactly, and the curve by least squares. If the fit is not unique, it is the one
-        nearest to the factors `before` [1, F].
+        matched exactly, and the curve by least squares. If the fit is not unique, the factors
+        nearest to `before` [1, F] are used.
         """
         assert self.prices is not None and self.filter is not None
         loading, variance = self.prices.loadings(t)
@@ -78,14 +79,14 @@ class DatedRule:
         return (state + others @ change)[None]
 
     def initial_factors(self, count: int) -> np.ndarray:
-        """[count, F] the factors before the first day's price: zero."""
+        """[count, F] the factors before the price of the first day: zero."""
         size = 1 if self.filter is None else self.filter.gain.shape[1]
         return np.zeros((count, size))
 
 
 class DayResult(NamedTuple):
-    """[N] the inventory after a day, the volumes, and the cash flow, discounted as in the ledger.
-    `factors` [N, F]: the mean of the factors conditional on the prices up to the day.
+    """[N] the inventory after a day, the volumes, and the cash flow, discounted with the factors of
+    the `ledger`. `factors` [N, F]: the mean of the factors conditional on the prices up to the day.
     """
 
     inventory: np.ndarray
@@ -103,10 +104,11 @@ def solved_on(
     curve: np.ndarray | None,
     policy: StoragePolicy | None = None,
 ) -> DatedRule:
-    """The rule of the fitted value of a case on a date, with the prices until then.
+    """The rule of the fitted value of a case on a date, with the prices up to that date.
 
-    - `day`, `inventory`: valuation date, and gas in store then; None: those of the case.
-    - `curve`: the forward price of each day that the case needs; None: that of the case.
+    - `day`, `inventory`: the valuation date, and the gas in store on it; None for those of the
+      case.
+    - `curve`: the forward price of each day that the case needs; None for the curve of the case.
     - `policy`: a policy that decides instead of the fitted value, but reads the fitted value of
       this problem.
     """
@@ -118,7 +120,8 @@ def solved_on(
     case = read_case(file, tables)
     if case.model.sources(0) is not None:
         message = (
-            "a back-test needs a state that follows from spot prices; supplied paths have none"
+            "a back-test needs price factors that can be computed from spot prices; supplied "
+            "paths have none"
         )
         raise CaseError(str(file), "model.kind", case.model.kind, message)
     problem = bare_problem(case)
@@ -146,10 +149,10 @@ def decided(
     spot: np.ndarray,
     curve: np.ndarray | None = None,
 ) -> DayResult:
-    """The decisions of the rule's day `t` at inventories and spot prices [N]; this is the ledger's
-    day `day`. `before` [N, F]: the factors of the day before. `curve` [T + 1 - t]: the curve of
-    the day, from which several factors are determined; for a single path only. The cash flow is
-    that of the exact simulator of `ledger`, with its discount factors.
+    """The decisions on day `t` of the rule, at inventories and spot prices [N]; this day is the day
+    `day` of the `ledger`. `before` [N, F]: the factors of the day before. `curve` [T + 1 - t]: the
+    curve of the day, which determines the factors if there are several; it is used for a single
+    path only. The cash flow is from the exact simulator of `ledger`, with its discount factors.
     """
     gain, prior = None, before
     if rule.filter is not None:
@@ -163,7 +166,8 @@ def decided(
 
 
 def _row(problem: Problem, t: int) -> tuple[StorageSimulator, Any, Any]:
-    """The simulator without the arrays of the contract, the constants, and the row of a day."""
+    """The simulator without the arrays of the contract, the constants, and the row of the schedule
+    for a day."""
     simulator, schedule = simulator_of(problem), problem.schedule
     light = replace(simulator.on_paths(), day=np.zeros(1, np.int64), hedge=None)
     return light, schedule.constants, jax.tree.map(lambda leaf: np.asarray(leaf)[t], schedule.steps)
@@ -187,7 +191,7 @@ def _day(policy, simulator, constants, now, booked, terms, row, gain, inventorie
 
 
 def end_money(ledger: Problem, inventory: np.ndarray, spot: np.ndarray) -> np.ndarray:
-    """[N] the discounted value of the gas left at spot prices of the end date."""
+    """[N] the discounted value of the gas left, at spot prices of the end date."""
     simulator, constants = simulator_of(ledger), ledger.schedule.constants
     terms = EndTerms(constants.end_levels, constants.end_values, constants.end_fraction)
     with jax.enable_x64(True):
@@ -200,7 +204,7 @@ def end_money(ledger: Problem, inventory: np.ndarray, spot: np.ndarray) -> np.nd
 
 
 def drawn_spots(problem: Problem, count: int, seed: int) -> np.ndarray:
-    """[T + 1, count] spot prices of the model, of each day and of the end."""
+    """[T + 1, count] spot prices that the model draws, for each day and the end date."""
     simulator, schedule = simulator_of(problem), problem.schedule
     with jax.enable_x64(True):
         process = simulator.on_paths().process
@@ -233,7 +237,7 @@ class RuleCash(NamedTuple):
 
 
 def followed(rule: DatedRule, spots: np.ndarray, inventory: float | None = None) -> RuleCash:
-    """The rule on supplied spot prices [T + 1, N], from its first day to the end."""
+    """The results of the rule on supplied spot prices [T + 1, N], from its first day to the end."""
     problem = rule.problem
     start = float(problem.schedule.constants.inventory) if inventory is None else inventory
     level, rows = np.full(spots.shape[1], start), []

@@ -28,7 +28,7 @@ class BacktestTable(CaseTable):
     prices: Literal["spot", "spot and curves"] = doc(
         "prices from which the model is estimated", SPOT
     )
-    season: Literal[0, 1, 2] = doc("number of seasonal waves in an estimate", 0)
+    season: Literal[0, 1, 2] = doc("number of waves of the seasonal pattern in an estimate", 0)
 
 
 class BacktestPlan(NamedTuple):
@@ -40,7 +40,7 @@ class BacktestPlan(NamedTuple):
     season: Literal[0, 1, 2] = 0
 
     def due(self, days: Sequence[datetime.date]) -> frozenset[int]:
-        """The positions in `days` at which the model is estimated."""
+        """The indices in `days` of the days on which the model is estimated."""
         if self.calibrate == NEVER:
             return frozenset()
         if isinstance(self.calibrate, int):
@@ -51,7 +51,7 @@ class BacktestPlan(NamedTuple):
 
 
 def plan_of(file: Path, data: Any, notes: list[str]) -> BacktestPlan:
-    """The plan of the table [backtest]; if `data` is None, that of a case without the table.
+    """The plan of the table [backtest]; the default plan if `data` is None.
 
     **Raises:** `CaseError` if a key is wrong.
     """
@@ -65,7 +65,7 @@ def plan_of(file: Path, data: Any, notes: list[str]) -> BacktestPlan:
 
 
 def is_calendar(value: Any) -> bool:
-    """Whether it is a calendar of estimates."""
+    """Whether a value is a calendar of estimates."""
     if isinstance(value, str):
         return value == NEVER or value in PERIODS
     return isinstance(value, int) and not isinstance(value, bool) and value >= 1

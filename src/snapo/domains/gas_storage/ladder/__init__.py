@@ -1,1 +1,2 @@
-"""Traded products, and the methods of a desk: rolling intrinsic, least-squares Monte Carlo."""
+"""Traded products, and the methods of a trading desk: rolling intrinsic and least-squares Monte
+Carlo."""

@@ -1,9 +1,9 @@
-"""A contract seen through the products that trade: on each day of a period the same volume flows.
+"""A contract as traded products see it: the same volume flows on each day of a period.
 
-The contract is a level (gas in store, volume taken) that a daily volume q changes by. In a period
-of a few days, the best flat q of a path is found exactly if the value after the period is concave
-in the level: its slope is constant between q = 0, the volume that is held already, and the limits.
-Otherwise the limits are also tried.
+The contract is a level (gas in store, or volume taken) that a daily volume q changes. The best q of
+a path, the same on all days of a period, is exact if the value after the period is concave in the
+level, since the slope of the earnings is constant between q = 0, the volume that is already held,
+and the limits. If the value is not concave, the limits are also tried.
 """
 
 from typing import NamedTuple
@@ -12,12 +12,12 @@ import numpy as np
 
 
 class Side(NamedTuple):
-    """What a unit of q of one sign costs in a period of n days.
+    """The cost of a unit of q, for one sign of q, in a period of n days.
 
-    - `weight` [n]: volume bought for q = 1 on each day, times its discount factor; negative if it
-      is sold.
+    - `weight` [n]: the volume bought for q = 1 on each day, times the discount factor of its
+      payment; negative if it is sold.
     - `volume`: the volume bought per day, the mean over the days.
-    - `money`: cost of q = 1 in addition to the price, discounted.
+    - `money`: the discounted cost of q = 1 in addition to the price.
     """
 
     weight: np.ndarray
@@ -26,16 +26,16 @@ class Side(NamedTuple):
 
 
 class FlatPeriod(NamedTuple):
-    """Consecutive days with one flow, on nodes of the level before and after it.
+    """Consecutive days with the same flow, on nodes of the level before and after them.
 
     - `first`, `after`: the first day, and the day after the last one.
     - `nodes` [m]: evenly spaced levels before the period; `keep` [m]: the level after it without
       any flow.
     - `span`: the change of the level after the period for q = 1.
-    - `minimum`, `maximum` [m]: limits of q; if none is possible, the first is above the second.
+    - `minimum`, `maximum` [m]: the limits of q; if no q is possible, the first is above the second.
     - `into`, `out`: the sides of q above and below zero.
-    - `cost` [m]: the cost of the level itself; `spread`: discounted cost of a unit traded on each
-      day.
+    - `cost` [m]: the cost of the level itself; `spread`: the discounted cost of the trades of one
+      unit on every day.
     """
 
     first: int
@@ -61,9 +61,11 @@ class Limits(NamedTuple):
 
 
 class Slopes(NamedTuple):
-    """What q = 1 earns on each path [N], below and above zero, and the q that is held already.
+    """The earnings of q = 1 on each path [N], for q below and above zero, and the volume that is
+    already held.
 
-    - `held`: volume per day bought by positions; `zero`: the q that delivers this volume.
+    - `held`: the volume per day that positions have bought; `zero`: the q that delivers this
+      volume.
     """
 
     out: np.ndarray
@@ -73,7 +75,8 @@ class Slopes(NamedTuple):
 
 
 def slopes(period: FlatPeriod, forward: np.ndarray, held: np.ndarray) -> Slopes:
-    """Slopes at the forward prices [n, N] of a period's days, and positions `held` [N]."""
+    """The slopes at the forward prices [n, N] of the days of a period, with positions `held`
+    [N]."""
     into = -(period.into.weight @ forward) - period.into.money
     out = -(period.out.weight @ forward) + period.out.money
     with np.errstate(divide="ignore", invalid="ignore"):
@@ -83,7 +86,7 @@ def slopes(period: FlatPeriod, forward: np.ndarray, held: np.ndarray) -> Slopes:
 
 
 def earned(period: FlatPeriod, slope: Slopes, q: np.ndarray) -> np.ndarray:
-    """The money of q [..., N] without the positions held, at the prices of the paths."""
+    """The money of q [..., N], without that of the positions held, at the prices of the paths."""
     money = np.where(q > 0, slope.into, slope.out) * q
     if period.spread:
         money -= period.spread * np.abs(bought(period, q) - slope.held)
@@ -96,7 +99,8 @@ def bought(period: FlatPeriod, q: np.ndarray) -> np.ndarray:
 
 
 class Peaks(NamedTuple):
-    """[N] the levels after a period at which q should end, of each slope; `later` [m, N] value."""
+    """`levels`: for each slope, the best levels [N] after a period; `later` [m, N]: the value at
+    the `nodes` after it."""
 
     levels: list[np.ndarray]
     later: np.ndarray
@@ -104,7 +108,7 @@ class Peaks(NamedTuple):
 
 
 def peaks(period: FlatPeriod, slope: Slopes, later: np.ndarray, nodes: np.ndarray) -> Peaks:
-    """The maxima of the value `later` on the nodes after the period."""
+    """The best levels for the value `later` on the nodes after the period."""
     levels = []
     for unit in _units(period, slope):
         net = later + (unit / period.span) * nodes[:, None]
@@ -146,19 +150,20 @@ def best(
 
 
 def limits_at(period: FlatPeriod, levels: np.ndarray) -> Limits:
-    """Linear between the nodes of the period."""
+    """The limits at these levels, linear between the nodes of the period."""
     rows = (period.keep, period.minimum, period.maximum, period.cost)
     return Limits(*(np.interp(levels, period.nodes, row)[None] for row in rows))
 
 
 def limits_on(period: FlatPeriod) -> Limits:
-    """On the nodes, one row for each."""
+    """The limits on the nodes, one row for each node."""
     rows = (period.keep, period.minimum, period.maximum, period.cost)
     return Limits(*(row[:, None] for row in rows))
 
 
 def _units(period: FlatPeriod, slope: Slopes) -> list[np.ndarray]:
-    """What one more unit of q earns, below the first kink, between both, above the last one."""
+    """The earnings of one more unit of q below the first kink, between the two kinks, and above the
+    last kink."""
     if not period.spread:
         return [slope.out, slope.into]
     into, out = (period.spread * abs(side.volume) for side in (period.into, period.out))
@@ -168,7 +173,8 @@ def _units(period: FlatPeriod, slope: Slopes) -> list[np.ndarray]:
 
 
 def interpolated(later: np.ndarray, nodes: np.ndarray, levels: np.ndarray) -> np.ndarray:
-    """[rows, N] of values [nodes, N] at levels [rows, N]: linear between nodes, flat beyond."""
+    """[rows, N] the values at levels [rows, N], from values [nodes, N]: linear between nodes,
+    constant beyond them."""
     count, paths = len(nodes), later.shape[1]
     if count == 1:
         return np.broadcast_to(later, (len(levels), paths))

@@ -2,8 +2,9 @@
 
     F(t, T) = F(T) exp(s(T) D f(t) - s(T)' D C(t) D' s(T) / 2)
 
-with the decays D from t to T, and the covariance C(t) of the factors: the expected spot price. For
-shifted prices this is the curve of F + shift; for normal prices the curve is F(T) + s(T) D f(t).
+with the decays D from t to T, and the covariance C(t) of the factors. This is the expected spot
+price. For shifted prices it is the curve of F + shift; for normal prices the curve is F(T) + s(T) D
+f(t).
 """
 
 from dataclasses import dataclass
@@ -17,22 +18,24 @@ from ..prices.process import GaussianFactors
 
 @dataclass(frozen=True, eq=False)
 class PathCurves:
-    """Forward prices on paths: today's `forward` [T + 1], `states` [T + 1, F, N] of the factors."""
+    """Forward prices on paths, from today's curve `forward` [T + 1] and the factors `states` [T +
+    1, F, N]."""
 
     factors: GaussianFactors
     forward: np.ndarray
     states: np.ndarray
 
     def __call__(self, t: int) -> np.ndarray:
-        """[T + 1 - t, N] on step t, of it and of all later ones; of today, [T + 1, N], for -1."""
+        """[T + 1 - t, N] the prices of step t and all later steps, as seen on step t; for -1,
+        today's prices [T + 1, N]."""
         if t < 0:
             return np.repeat(self.forward[:, None], self.states.shape[2], axis=1)
         loading, variance = self.loadings(t)
         return self._prices(t, product(loading, self.states[t]), variance)
 
     def loadings(self, t: int) -> tuple[np.ndarray, np.ndarray]:
-        """[T + 1 - t, F] the loadings of prices on the factors of step t, and [T + 1 - t] the
-        variance that they cause."""
+        """[T + 1 - t, F] the loadings of later prices on the factors of step t, and [T + 1 - t] the
+        variance of ln price that these factors cause."""
         decay = self.factors.decay[t:].copy()
         decay[0] = 1.0
         loading = self.factors.loading[t:] * np.cumprod(decay, axis=0)
@@ -40,19 +43,19 @@ class PathCurves:
 
     @property
     def spots(self) -> np.ndarray:
-        """[T + 1, N] the price of each step on the step."""
+        """[T + 1, N] the price of each step, as seen on that step."""
         loading = self.factors.loading
         variance = np.einsum("di,dij,dj->d", loading, self._covariance, loading)
         return self._prices(0, np.einsum("di,din->dn", loading, self.states), variance)
 
     def _prices(self, t: int, moved: np.ndarray, variance: np.ndarray) -> np.ndarray:
-        """[T + 1 - t, N] from step t on, each moved by factors of this variance."""
+        """[T + 1 - t, N] the prices from step t on, each moved by factors with this variance."""
         noise = self.factors.noise(moved, variance[:, None])
         return self.factors.spot(self.forward[t:, None], noise)
 
     @cached_property
     def _covariance(self) -> np.ndarray:
-        """[T + 1, F, F]"""
+        """[T + 1, F, F] the covariance of the factors on each step."""
         rows, now = [], np.zeros((self.factors.decay.shape[1],) * 2)
         for decay, shock in zip(self.factors.decay, self.factors.shock):
             now = np.outer(decay, decay) * now + shock @ shock.T
@@ -61,7 +64,7 @@ class PathCurves:
 
 
 def drawn_states(factors: GaussianFactors, paths: int, seed: int) -> np.ndarray:
-    """[T + 1, F, N] of the factors, in antithetic pairs."""
+    """[T + 1, F, N] the factors on random paths, in antithetic pairs."""
     random = np.random.default_rng(seed)
     size = factors.decay.shape[1]
     now, rows = np.zeros((size, paths)), []

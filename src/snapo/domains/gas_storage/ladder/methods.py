@@ -1,11 +1,11 @@
 """The methods of a desk on supplied paths: intrinsic in products, rolling intrinsic, least squares.
 
 Least-squares Monte Carlo: on simulated paths the value of the next day is regressed on prices,
-backwards in time, on nodes of the level. The regression decides, and the value that is carried is
-that of the decisions on the path itself, so that errors of the regression do not add up. The rule
-is then followed on other paths (out of sample), where it is a lower bound. Sources: F. Longstaff,
-E. Schwartz, Review of Financial Studies 14 (2001); A. Boogert, C. de Jong, "Gas storage valuation
-using a Monte Carlo method", Journal of Derivatives 15 (2008).
+backwards in time, on nodes of the level. The regression decides, but the value that is carried
+backwards is that of the decisions on the path itself, so that errors of the regression do not
+accumulate. The rule is then followed on other paths (out of sample), where it is a lower bound.
+Sources: F. Longstaff, E. Schwartz, Review of Financial Studies 14 (2001); A. Boogert, C. de Jong,
+"Gas storage valuation using a Monte Carlo method", Journal of Derivatives 15 (2008).
 """
 
 from collections.abc import Sequence
@@ -32,7 +32,8 @@ RIDGE = 1e-9  # of the regression, against the sum of squares of the functions
 
 @dataclass(frozen=True, eq=False)
 class LeastSquaresRule:
-    """The value after each step as fitted: `coefficients` T arrays [nodes, K] of `basis`."""
+    """The fitted value after each step. `coefficients`: T arrays [nodes, K] for the functions of
+    `basis`."""
 
     contract: FlatContract
     links: Sequence[Link]
@@ -43,7 +44,7 @@ class LeastSquaresRule:
 def fitted_rule(
     contract: FlatContract, basis: PolynomialBasis, states: np.ndarray, spots: np.ndarray
 ) -> LeastSquaresRule:
-    """The rule of simulated factors [T + 1, F, N] and spot prices [T + 1, N]."""
+    """The rule that is fitted on simulated factors [T + 1, F, N] and spot prices [T + 1, N]."""
     steps = range(contract.horizon)
     links = Chains(contract).of(tuple(TradeBlock(t, t + 1) for t in steps))
     nothing = np.zeros(spots.shape[1])
@@ -86,7 +87,7 @@ class Followed(NamedTuple):
 
 
 def followed(rule: LeastSquaresRule, states: np.ndarray, spots: np.ndarray) -> Followed:
-    """The rule on paths that it was not fitted to, with its exact limits."""
+    """The results of the rule on paths on which it was not fitted, with the exact limits."""
     contract, money = rule.contract, np.zeros(spots.shape[1])
     level, nothing = np.full_like(money, contract.start), np.zeros_like(money)
     levels = [level]
@@ -108,7 +109,7 @@ def followed(rule: LeastSquaresRule, states: np.ndarray, spots: np.ndarray) -> F
 
 BLOCK = 256  # paths at once: their arrays stay in the cache
 TRAINED = 4096  # paths of a regression
-NO_CURVE = "its prices have other risks than Gaussian factors, so that paths have no forward curve"
+NO_CURVE = "its prices have risks other than Gaussian factors, so that paths have no forward curve"
 
 
 @dataclass(frozen=True, eq=False)
@@ -118,8 +119,8 @@ class DeskMethods:
     - `forward` [T + 1]: today's curve, with the price of the end date last.
     - `factors`: the factors of the prices; if they are None or not exact, paths have no forward
       curve.
-    - `states` [T + 1, F, N]: the factors on paths, `spots` [T + 1, N]: spot prices; `seed`: the
-      seed of the regression's paths.
+    - `states` [T + 1, F, N]: the factors on paths; `spots` [T + 1, N]: the spot prices; `seed`: the
+      seed of the paths of the regression.
     """
 
     contract: FlatContract
@@ -131,14 +132,15 @@ class DeskMethods:
     seed: int
 
     def intrinsic(self) -> float:
-        """The best plan in the products that trade today."""
+        """The best plan in the products that can be traded today."""
         first = -1 if self.products.before else 0
         return intrinsic_in(self.contract, self.products.blocks(first), self.forward)
 
     def rolling(self) -> np.ndarray:
         """[N] the money of rolling intrinsic.
 
-        **Raises:** `ValueError` if paths have no forward curve, or products do not fit.
+        **Raises:** `ValueError` if paths have no forward curve, or if the products do not fit the
+        contract.
         """
         factors, chains = self._exact_factors, Chains(self.contract)
         steps = range(-1 if self.products.before else 0, self.contract.horizon)
@@ -156,7 +158,7 @@ class DeskMethods:
             return np.concatenate(list(parts))
 
     def least_squares(self) -> Followed:
-        """The rule of a regression on other paths, followed on these.
+        """The results, on these paths, of the rule of a regression on other paths.
 
         **Raises:** `ValueError` if prices have risks other than their factors.
         """
@@ -168,7 +170,7 @@ class DeskMethods:
 
     @property
     def _exact_factors(self) -> GaussianFactors:
-        """The factors, where they make the spot prices of the paths."""
+        """The factors, if the spot prices of the paths follow from them."""
         factors, steps = self.factors, self.contract.horizon
         if factors is None or not factors.exact or factors.spikes is not None:
             raise ValueError(NO_CURVE)
@@ -179,6 +181,6 @@ class DeskMethods:
 
     @cached_property
     def _end_price(self) -> np.ndarray:
-        """The change of the value of a unit left with the price of the end."""
+        """The change of the value of a unit left per unit of the price on the end date."""
         one = np.ones((1, 1))
         return self.contract.final(one, 2.0 * one[0]) - self.contract.final(one, one[0])

@@ -6,8 +6,8 @@
     months = { bid_offer = 0.10, lot = 10.0, ahead = 6 }
     seasons = { bid_offer = 0.20 }
 
-On a trading day each later day of delivery belongs to the shortest product that contains it and
-still trades. The day itself is traded at its spot price, which is the day-ahead price.
+On a trading day each later day of delivery belongs to the shortest product that contains it and can
+still be traded. The day itself is traded at its spot price, which is the day-ahead price.
 """
 
 import datetime
@@ -24,12 +24,14 @@ from snapo.case.table import AnyTable, CaseTable, Nonempty, Range, TableContext,
 from ..curves.products import ONE, months
 from .rolling import TradeBlock
 
-SPREAD = "difference of the prices at which a unit is bought and sold; a trade costs half of it"
+SPREAD = (
+    "difference between the prices at which a unit is bought and sold; a trade costs half of it"
+)
 COLUMNS = ("name", "first", "last", "bid_offer", "lot", "last_trading_day")
 
 
 class DayAheadTable(CaseTable):
-    """`products.day_ahead`: the day itself, at its spot price."""
+    """`products.day_ahead`: the trading day itself, at its spot price."""
 
     bid_offer: Annotated[float, Range(0.0, note=f": the {SPREAD}")] = doc(
         "bid-offer spread, in currency/volume_unit", 0.0
@@ -40,15 +42,15 @@ class BalanceTable(DayAheadTable):
     """`products.balance_of_month`: the days of the month after the trading day."""
 
     lot: Annotated[
-        float, Range(0.0, note=": forward volumes per day are multiples of it, 0 allows any volume")
+        float, Range(0.0, note=": forward volumes per day are multiples of it; 0 allows any volume")
     ] = doc("lot size, in volume_unit/day", 0.0)
 
 
 class FamilyTable(BalanceTable):
-    """`products.months`: months, and in the same way `quarters` and `seasons`."""
+    """`products.months`, and in the same way `products.quarters` and `products.seasons`."""
 
     ahead: Annotated[int, Range(1)] | None = doc(
-        "number of periods after the present one that are traded, by default all", None
+        "number of traded periods after the present period, by default all", None
     )
     last_trading: Annotated[int, Range(0, 400, note=" days before delivery")] = doc(
         "days from the last trading day to the first day of delivery", 1
@@ -59,9 +61,11 @@ FAMILY = "a table like { bid_offer = 0.1, lot = 10.0, ahead = 6, last_trading = 
 
 
 class ProductsTable(CaseTable):
-    """`[products]`: the traded products; a family that is left out does not trade."""
+    """`[products]`: the traded products; a family that is left out is not traded."""
 
-    day_ahead: dict = doc("spot market of the day itself", {}, "a table like { bid_offer = 0.05 }")
+    day_ahead: dict = doc(
+        "spot market of the trading day itself", {}, "a table like { bid_offer = 0.05 }"
+    )
     balance_of_month: dict | None = doc(
         "the days of the month after the trading day", None, "a table like { lot = 10.0 }"
     )
@@ -109,7 +113,8 @@ class TradedProduct(NamedTuple):
 
 
 class ProductDays(NamedTuple):
-    """The days from `first` to `after`, not included, that a product trades; "" is none."""
+    """A product, and its days from `first` up to, but not including, `after`; the name is "" if
+    there is no product."""
 
     product: str
     block: TradeBlock
@@ -121,8 +126,8 @@ class TradedProducts:
 
     - `days`: the days of delivery; `valuation`: the first trading day; `products`: all products
       that may be traded.
-    - `day_ahead`: bid-offer of the trading day itself; `balance`: the terms of the balance of the
-      month, or None.
+    - `day_ahead`: the bid-offer of the trading day itself; `balance`: the terms of the balance of
+      the month, or None.
     """
 
     days: tuple[datetime.date, ...]
@@ -140,7 +145,7 @@ class TradedProducts:
         return tuple(family for family in FAMILIES if family in there)
 
     def only(self, families: Collection[str]) -> Self:
-        """The products of these families, and the day itself."""
+        """The products of these families, and the trading day itself."""
         products = tuple(product for product in self.products if product.family in families)
         balance = self.balance if BALANCE in families else None
         return replace(self, products=products, balance=balance)
@@ -155,8 +160,8 @@ class TradedProducts:
         return bool(self.days) and self.valuation < self.days[0]
 
     def named(self, t: int) -> tuple[ProductDays, ...]:
-        """The products that trade on step t, or on the valuation date for -1, in the order of
-        delivery."""
+        """The products that can be traded on step t, or on the valuation date for -1, in the order
+        of delivery."""
         today = self.days[t] if t >= 0 else self.valuation
         rows = []
         if t >= 0:
@@ -177,7 +182,7 @@ class TradedProducts:
         return tuple(rows)
 
     def blocks(self, t: int) -> tuple[TradeBlock, ...]:
-        """The same products without names."""
+        """The products of `named`, without their names."""
         return tuple(row.block for row in self.named(t))
 
     def _trading(self, today: datetime.date) -> list[TradedProduct]:
@@ -203,7 +208,7 @@ def products_of(
     """The products of the table [products], None for a case without one.
 
     **Raises:** `CaseError` if a product is traded as a whole while its parts are traded, or after
-    that.
+    they were.
     """
     if data is None:
         return None
@@ -235,7 +240,7 @@ def products_of(
 
 
 def usual_products(days: Sequence[datetime.date], valuation: datetime.date) -> TradedProducts:
-    """Day-ahead, balance of month and months, without a spread: if a case has no others."""
+    """Day-ahead, balance of month and months, without a spread, for a case without [products]."""
     family = FamilyTable()  # pyright: ignore[reportCallIssue]
     return TradedProducts(tuple(days), valuation, tuple(_family("months", family, days)))
 
@@ -264,7 +269,7 @@ def _family(name: str, table: FamilyTable, days: Sequence[datetime.date]) -> lis
 
 
 def _label(name: str, first: datetime.date) -> str:
-    """The name of a period as quotes have it."""
+    """The name of a period, as in quotes."""
     if name == "months":
         return f"{first:%Y-%m}"
     if name == "quarters":
@@ -275,13 +280,15 @@ def _label(name: str, first: datetime.date) -> str:
 def _product(row: Row) -> TradedProduct:
     first, last = row.day("first"), row.day("last")
     if last < first:
-        raise row.error("last", f"the last day of delivery is not before the first, {first}")
+        raise row.error("last", f"the last day of delivery must not be before the first, {first}")
     last_trading = row.day("last_trading_day")
     if last_trading > last:
-        raise row.error("last_trading_day", f"it is not after the last day of delivery, {last}")
+        raise row.error(
+            "last_trading_day", f"it must not be after the last day of delivery, {last}"
+        )
     name = row.cells["name"].strip()
     if not name:
-        raise row.error("name", "a product has a name")
+        raise row.error("name", "a product must have a name")
     bid_offer, lot = row.number("bid_offer", 0.0), row.number("lot", 0.0)
     return TradedProduct(name, first, last, bid_offer, lot, last_trading)
 
@@ -296,9 +303,8 @@ def _check_nested(section: TableContext, products: TradedProducts) -> None:
                 day = products.days[t] if t >= 0 else products.valuation
                 message = (
                     f"on {day} it would be traded as a whole, although a part of it is traded on "
-                    "that day or was traded before; products must follow one another, or "
-                    "shorter ones "
-                    "must replace a longer one from its first day on"
+                    "that day or was traded before; products must follow one another, or shorter "
+                    "products must replace a longer one from its first day on"
                 )
                 raise CaseError(str(section.file), f"{section.name}: {name}", None, message)
             met.add(name)

@@ -1,10 +1,10 @@
 """Rolling intrinsic: on each trading day the best plan in traded products.
 
-On every path the store (or swing) is planned against that day's forward curve in the products that
-trade then, and the difference from the positions is traded at once. Each unit traded, also of a
-position that is unwound, costs half the spread between bid and offer. The flow of the day is
-delivered, and the next day the plan is made again. Source: J. Gray, P. Khandelwal, "Towards a
-realistic gas storage model", Commodities Now 7 (2004).
+On every path the best plan for the store (or swing) is computed at the forward curve of the day, in
+the products that can be traded on that day, and the difference from the positions is traded at
+once. Each unit traded costs half the spread between bid and offer, including trades that close a
+position. The flow of the day is delivered, and on the next day the plan is made again. Source: J.
+Gray, P. Khandelwal, "Towards a realistic gas storage model", Commodities Now 7 (2004).
 """
 
 import math
@@ -37,10 +37,10 @@ NEAR = 1e-9
 
 
 class TradeBlock(NamedTuple):
-    """Days from `first` up to the day before `after` that are traded as one product, or that are
+    """The days from `first` up to the day before `after`, which are traded as one product or are
     not traded yet.
 
-    - `spread`: half the bid-offer of a unit; `lot`: volumes per day are multiples of it, 0 for any
+    - `spread`: half the bid-offer of a unit; `lot`: volumes per day are multiples of it; 0 for any
       volume.
     """
 
@@ -63,29 +63,31 @@ class FlatContract(Protocol):
     measure: float | None
 
     def levels(self, t: int) -> tuple[float, float]:
-        """Lowest and highest level at the start of a step, from which the contract can be met."""
+        """The lowest and the highest level at the start of a step from which the contract can be
+        met."""
         ...
 
     def reached(self, t: int) -> tuple[float, float]:
-        """Lowest and highest level after a step, before settling."""
+        """The lowest and the highest level after a step, before settling."""
         ...
 
     def limits(
         self, first: int, after: int, levels: np.ndarray, low: float, high: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """Least and greatest flat q at each level that end a period between low and high."""
+        """The smallest and the largest flat q, at each level, with which a period ends between low
+        and high."""
         ...
 
     def growth(self, first: int, after: int) -> tuple[float, float]:
-        """What a level becomes over a period for each unit of it, and for each unit of q."""
+        """The level after a period for each unit of the level before it, and for each unit of q."""
         ...
 
     def sides(self, first: int, after: int) -> tuple[Side, Side]:
-        """The sides of q above zero, and below."""
+        """The sides of q above and below zero."""
         ...
 
     def level_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray:
-        """Discounted cost of levels at the start of a period."""
+        """The discounted cost of levels at the start of a period."""
         ...
 
     def end_cost(self, first: int, after: int, levels: np.ndarray) -> np.ndarray | None:
@@ -93,7 +95,7 @@ class FlatContract(Protocol):
         ...
 
     def discount(self, first: int, after: int) -> np.ndarray:
-        """Discount factors of the market's payments, by day."""
+        """The discount factors of payments for the commodity, by day."""
         ...
 
     def settled(self, t: int, levels: np.ndarray) -> np.ndarray | None:
@@ -101,13 +103,13 @@ class FlatContract(Protocol):
         ...
 
     def final(self, levels: np.ndarray, price: np.ndarray) -> np.ndarray:
-        """Value of levels [m, 1 or N] after the last step, at the price [N] of the end."""
+        """The value of levels [m, 1 or N] after the last step, at the price [N] of the end date."""
         ...
 
 
 class Link(NamedTuple):
-    """A period of a plan: `nodes` after it; `lost`: the cost of settling there, and `held` that of
-    ending there."""
+    """A period of a plan. `nodes`: the nodes after it; `lost`: the cost of settling at its end;
+    `held`: the cost of the levels at its end."""
 
     block: TradeBlock
     period: FlatPeriod
@@ -116,18 +118,20 @@ class Link(NamedTuple):
     held: np.ndarray | None = None
 
     def later(self, value: np.ndarray) -> np.ndarray:
-        """The value at the nodes after the period, of that at the start of the next one."""
+        """The value at the nodes after the period, from the value at the start of the next
+        period."""
         value = value if self.lost is None else value[:1] - self.lost[:, None]
         return value if self.held is None else value - self.held[:, None]
 
 
 class Infeasible(ValueError):
-    """No flat volumes over the products meet the contract."""
+    """No volumes that are equal on all days of each product satisfy the contract."""
 
 
 @dataclass(eq=False)
 class Chains:
-    """The periods of a contract for any blocks; those with equal ends are made once."""
+    """The periods of a contract for any blocks; periods with the same blocks after them are made
+    once."""
 
     contract: FlatContract
     count: int = NODES
@@ -174,7 +178,8 @@ class Chains:
         return Link(block, period, nodes, contract.settled(after - 1, nodes), held)
 
     def _nodes(self, low: float, high: float) -> np.ndarray:
-        """Evenly spaced levels: on the measure of the volumes where these are few enough."""
+        """Evenly spaced levels; multiples of the measure of the volumes if there are few enough of
+        these."""
         if high - low <= NEAR:
             return np.array([low])
         parts, measure = self.count - 1, self.contract.measure or math.inf
@@ -186,7 +191,8 @@ class Chains:
 
 
 def _possible(contract: FlatContract, first: int, after: int, low, high) -> tuple[float, float]:
-    """The lowest and the highest level before a period that lead between low and high."""
+    """The lowest and the highest level before a period from which it can end between low and
+    high."""
 
     def possible(levels: np.ndarray) -> np.ndarray:
         least, most = contract.limits(first, after, levels, low, high)
@@ -197,7 +203,9 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
     levels = levels[(levels >= bottom) & (levels <= top)]
     inside = np.flatnonzero(possible(levels))
     if not len(inside):
-        raise Infeasible("no equal volumes on all days of each product satisfy the contract")
+        raise Infeasible(
+            "no volumes that are equal on all days of each product satisfy the contract"
+        )
     found = []
     for position, beyond in ((inside[0], inside[0] - 1), (inside[-1], inside[-1] + 1)):
         good = levels[position]
@@ -212,7 +220,8 @@ def _possible(contract: FlatContract, first: int, after: int, low, high) -> tupl
 
 
 class ForwardPosition(NamedTuple):
-    """State of paths: `level` [N], volumes bought forward by day `held` [T, N], money so far."""
+    """The state of paths: `level` [N], the volumes `held` [T, N] that are bought forward for each
+    day, and the money so far."""
 
     level: np.ndarray
     held: np.ndarray
@@ -227,7 +236,7 @@ class ForwardPosition(NamedTuple):
 
 
 class RollingPlan(NamedTuple):
-    """The prices of each period, its target at the end, and the value today [N]."""
+    """The prices of each period, its target level at the end, and the value today [N]."""
 
     prices: list[tuple[Slopes, Peaks]]
     value: np.ndarray
@@ -236,7 +245,7 @@ class RollingPlan(NamedTuple):
 def planned(
     contract: FlatContract, links: Sequence[Link], curve: np.ndarray, position: ForwardPosition
 ) -> RollingPlan:
-    """The best plan at the forward prices [steps from the first one, and the end, N]."""
+    """The best plan at the forward prices [steps from the first one on, and the end date, N]."""
     start = links[0].block.first
     value = contract.final(links[-1].nodes[:, None], curve[-1])
     value, prices = np.broadcast_to(value, (len(links[-1].nodes), curve.shape[1])), []
@@ -252,7 +261,8 @@ def planned(
 
 
 def exactly(contract: FlatContract, link: Link, levels: np.ndarray) -> Limits:
-    """The limits of the first period at the levels of the paths, not between nodes."""
+    """The limits of the first period, exactly at the levels of the paths, without interpolation
+    between nodes."""
     period, nodes = link.period, link.nodes
     least, most = contract.limits(period.first, period.after, levels, nodes[0], nodes[-1])
     keep, _ = contract.growth(period.first, period.after)
@@ -268,7 +278,8 @@ def traded(
     position: ForwardPosition,
     delivers: bool,
 ) -> ForwardPosition:
-    """The positions after the trades of a day; `delivers`: and after the flow of its first step."""
+    """The positions after the trades of a day and, if `delivers`, after the flow of its first
+    step."""
     level, held, money, volume = position
     start, level_after = links[0].block.first, level
     money, volume = money.copy(), volume.copy()
@@ -305,7 +316,8 @@ def traded(
 
 
 class Rolled(NamedTuple):
-    """[N] the discounted money of each path, and the volume that was traded, a day's for a day."""
+    """[N] the discounted money of each path, and the volume traded, summed over the days of
+    delivery."""
 
     money: np.ndarray
     traded: np.ndarray
@@ -320,9 +332,9 @@ def rolling(
 ) -> Rolled:
     """Rolling intrinsic on some paths.
 
-    - `blocks`: gives the blocks that are traded at a step, the step itself first.
-    - `curves`: gives the forward prices [T + 1 - t, N] at step t, of the step, all later steps and
-      the end.
+    - `blocks`: returns the blocks that are traded on a step, with the step itself first.
+    - `curves`: returns the forward prices [T + 1 - t, N] on step t, for this step, all later steps
+      and the end date.
     - `before`: whether the valuation date is before the first step; `blocks` and `curves` of step
       -1 are then those of the valuation date.
     """

@@ -15,8 +15,8 @@ HALVINGS = 32  # of a flat volume, where rates depend on the inventory
 
 
 class Stock(NamedTuple):
-    """Inventories on the days of a period, factor x first level + span x q, and the limits after
-    each day.
+    """The inventories on the days of a period, factor x first level + span x q, and the limits
+    after each day.
 
     - `before`, `after`: (factor, span) [n] at the start and at the end of each day.
     """
@@ -28,7 +28,7 @@ class Stock(NamedTuple):
 
 
 class FlatStore:
-    """See `rolling.FlatContract`; of a prepared schedule with NumPy leaves."""
+    """A `rolling.FlatContract` made from a prepared schedule with NumPy leaves."""
 
     def __init__(self, schedule, interpolation: Interpolation):
         self.schedule = schedule
@@ -106,7 +106,8 @@ class FlatStore:
         return Stock((factor[:-1], span[:-1]), (factor[1:], span[1:]), *limits)
 
     def _rate_limits(self, first: int, after: int, stock: np.ndarray):
-        """[n, levels] the greatest and the least flow on each day, at inventories of these days."""
+        """[n, levels] the largest and the smallest flow on each day, at inventories on these
+        days."""
         steps, days = self.schedule.steps, slice(first, after)
         upper, lower = np.empty_like(stock), np.empty_like(stock)
         for table, rows in self._tables(first, after):
@@ -119,7 +120,7 @@ class FlatStore:
         )
 
     def _tables(self, first: int, after: int) -> list[tuple[DayRates, np.ndarray]]:
-        """The different tables of rates of some days, with the days that have each."""
+        """The different tables of rates on some days, each with its days."""
         numbers = self._numbers[first:after]
         return [(self._rates[first + int(np.argmax(numbers == n))], np.flatnonzero(numbers == n))
                 for n in np.unique(numbers)]  # fmt: skip
@@ -132,7 +133,7 @@ class FlatStore:
         return np.array([first.setdefault(key, len(first)) for key in keys])
 
     def _searched(self, first, after, levels, least, most, stock: Stock):
-        """The limits where rates depend on the inventory, which q itself moves."""
+        """The limits of q if rates depend on the inventory, which q itself changes."""
         factor, span = (x[:, None] for x in stock.before)
         fastest = max(table.injection.max() for table in self._rates[first:after])
         slowest = -max(table.withdrawal.max() for table in self._rates[first:after])
@@ -151,7 +152,7 @@ class FlatStore:
 def _furthest(
     possible: Callable[[np.ndarray], np.ndarray], wish: np.ndarray, safe: np.ndarray
 ) -> np.ndarray:
-    """The possible number nearest to `wish`, on the way to `safe`."""
+    """The possible number nearest to `wish`, between `wish` and `safe`."""
     bad, good = wish, np.where(possible(wish), wish, safe)
     if np.array_equal(good, wish):
         return good

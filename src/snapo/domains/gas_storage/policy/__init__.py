@@ -1,5 +1,5 @@
-"""The decision rule: its value table, its observation, its network, and the decisions that follow.
+"""The decision rule: its value table, its observation, its network, and its decisions.
 
 `network.StoragePolicy` corrects the marginal value of gas that `value_table` takes from a dynamic
-program; `triggers` reads prices and today's decision off the trained policy.
+program; `triggers` has the trigger prices and the decision of today under the trained policy.
 """

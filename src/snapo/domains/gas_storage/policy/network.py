@@ -1,14 +1,14 @@
 """The storage policy: its observation, a network that prices gas in store, and the flows.
 
-The network corrects the baseline's marginal value of gas at the end of the day, as a line in the
-inventory. Gas is injected while its value in store exceeds its cost, and withdrawn while its price
-exceeds its value in store: up to where the value crosses the price, clipped to the feasible flows.
-That is exact on fast storage too, gives the trigger prices at no cost, and loses almost nothing
-when it is made exact.
+The network corrects the marginal value of gas at the end of the day from the baseline, as a line in
+the inventory. Gas is injected while its value in store exceeds its cost, and withdrawn while its
+price exceeds its value in store: up to the inventory at which the value crosses the price, within
+the feasible flows. This rule is exact for fast storage too, needs no further work for trigger
+prices, and loses almost nothing under the exact rules.
 
-The first `HEAD` numbers of the observation are those of the decision rule, the economics of today's
-flows; the others are features of order one for the network. Prices are divided by the case's mean
-forward price, volumes by its largest daily rate.
+The first `HEAD` numbers of the observation belong to the decision rule: the economics of today's
+flows. The others are features of order one for the network. Prices are divided by the mean forward
+price of the case, volumes by its largest daily rate.
 """
 
 from typing import ClassVar, NamedTuple
@@ -32,13 +32,13 @@ from ..prices.process import YEAR, PriceProcess
 
 class Economics(NamedTuple):
     """Costs and values of today's flows; prices are in units of the mean forward price. `first_in`,
-    `last_in`, `first_out` and `last_out` are the table's marginal values of gas at the end of the
-    day, on the day of the payment for gas: those of the first and the last unit of the largest
-    injection, and of the largest withdrawal. If the value has a corner, the first unit injected has
-    the slope above the corner and the last one the slope below it; for withdrawn units it is the
-    opposite. `buy` is the cost of a unit in store, `sell` the proceeds of one out of it. `room_in`
-    and `room_out` are the free flows in units of the largest rate, `level` the joint level of the
-    slow price factors.
+    `last_in`, `first_out` and `last_out` are the marginal values of gas at the end of the day from
+    the table, valued on the day of the payment for gas: those of the first and the last unit of the
+    largest injection, and of the largest withdrawal. If the value has a corner, the first unit
+    injected has the slope above the corner, and the last unit the slope below it; for withdrawn
+    units it is the opposite. `buy` is the cost of a unit injected, `sell` the proceeds of a unit
+    withdrawn. `room_in` and `room_out` are the free flows in units of the largest rate, `level` the
+    joint level of the slow price factors.
     """
 
     first_in: Array
@@ -56,7 +56,7 @@ HEAD = len(Economics._fields)
 
 
 def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economics:
-    """The economics of a free flow on one day, at one state."""
+    """The economics of a free flow on one day, in one state."""
     scale, discount = terms.price_scale, now.gas_discount
     level = process.slow_level(terms.price, now.price, state.price)
     keep = flows.keep + flows.base
@@ -81,7 +81,7 @@ def economics(process: PriceProcess, terms, now, state, spot, flows) -> Economic
 
 
 def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[Array, " features"]:
-    """Economics first, then the features of the network."""
+    """The economics, followed by the features of the network."""
     observed = economics(process, terms, now, state, spot, flows)
     year = 2 * jnp.pi * now.day / YEAR
     left = (terms.last_day - now.day) / YEAR
@@ -103,8 +103,9 @@ def observation(process: PriceProcess, terms, now, state, spot, flows) -> Float[
 
 
 def curve_ahead(forward: Float[Array, " T"], scale) -> Float[Array, "T 5"]:
-    """Today's forward price relative to those ahead: mean of 30 and 120 days and of all,
-    highest and lowest, minus today's, in units of half the mean price."""
+    """The later part of the curve relative to each day: the mean forward price of the next 30, the
+    next 120 and all later days, the highest and the lowest, each minus the forward price of the
+    day, in units of half the mean price."""
     t = forward.shape[0]
     first = np.minimum(np.arange(1, t + 1), t - 1)  # the last day has nothing ahead but itself
     # Running sums of a curve around zero, so that nothing is lost; memory grows with T only.
@@ -129,8 +130,8 @@ CORRECTION = 0.1  # of the mean price: the network's numbers are of order one
 
 
 class MarginalValue(NamedTuple):
-    """Marginal values of gas at the end of the day, in units of the mean forward price: those of
-    the first and the last unit of the largest injection, and of the largest withdrawal."""
+    """The marginal values of gas at the end of the day, in units of the mean forward price: those
+    of the first and the last unit of the largest injection, and of the largest withdrawal."""
 
     first_in: Array
     last_in: Array
@@ -139,7 +140,8 @@ class MarginalValue(NamedTuple):
 
 
 class StoragePolicy(Policy):
-    """The table's marginal value plus a network; the action is (injected, withdrawn) fraction."""
+    """The marginal value from the table plus a network; the action has the shares of the free
+    injection and of the free withdrawal."""
 
     head: ClassVar[int] = HEAD  # numbers of the observation that the network does not see
     network: Network | None
@@ -155,16 +157,18 @@ class StoragePolicy(Policy):
 
     @property
     def value_rule(self) -> "StoragePolicy":
-        """The value table only, with a network that adds nothing, so that one program runs both."""
+        """The policy of the value table only: its network adds nothing, so that the same compiled
+        program runs both policies."""
         return with_idle_network(self)
 
     @property
     def simplest(self) -> "StoragePolicy":
-        """The policy without a network, if the network adds nothing."""
+        """The policy without its network, if the network adds nothing; otherwise the policy
+        itself."""
         return without_idle_network(self)
 
     def marginal_value(self, observation) -> MarginalValue:
-        """The policy's value of a unit of gas at the end of the day."""
+        """The value of a unit of gas at the end of the day under the policy."""
         economics = Economics(*observation[:HEAD])
         if self.network is None:
             return MarginalValue(*economics[:4])
@@ -178,7 +182,7 @@ class StoragePolicy(Policy):
 
 
 def _flows(economics: Economics, value: MarginalValue, smooth):
-    """Fractions of the free injection and withdrawal that pay."""
+    """The shares of the free injection and withdrawal that are profitable."""
     injected = smooth.share(value.first_in - economics.buy, value.last_in - economics.buy)
     withdrawn = smooth.share(economics.sell - value.first_out, economics.sell - value.last_out)
     return jnp.stack([injected, withdrawn])

@@ -1,7 +1,7 @@
-"""Decisions of a policy: trigger prices by day, and today's decision by inventory.
+"""Decisions of a policy: trigger prices by day, and the decision of today by inventory.
 
-All at the price state in which only the fastest factor moves: a spot price then determines the
-state. Prices are undiscounted spot prices in currency per unit.
+In all price states here only the fastest factor differs from zero, so that a spot price determines
+the state. Prices are undiscounted spot prices in currency per unit.
 """
 
 from typing import NamedTuple
@@ -25,14 +25,14 @@ SPOTS = 241  # spot prices tried for a trigger
 
 class Triggers(NamedTuple):
     """Gas is injected at a spot price below `injection`, and withdrawn above `withdrawal`; NaN if
-    the policy does so at no spot price of `spots_around`."""
+    there is no such price within the range of `spots_around`."""
 
     injection: Float[np.ndarray, " n"]
     withdrawal: Float[np.ndarray, " n"]
 
 
 class TriggerDecision(NamedTuple):
-    """Volumes injected and withdrawn on a day, at these inventories: [n] each."""
+    """The volumes injected and withdrawn on a day at some inventories, each [n]."""
 
     injection: np.ndarray
     withdrawal: np.ndarray
@@ -41,7 +41,7 @@ class TriggerDecision(NamedTuple):
 def triggers(
     problem: Problem, policy: StoragePolicy, day: np.ndarray, inventory: np.ndarray
 ) -> Triggers:
-    """Trigger prices at the inventories [n] on the days with these numbers [n]."""
+    """The trigger prices at the inventories [n] on the days with these numbers [n]."""
     with jax.enable_x64(True):
         schedule = problem.schedule
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
@@ -55,9 +55,9 @@ def triggers(
 
 
 def spots_around(problem: Problem, forward: np.ndarray, shares: np.ndarray) -> np.ndarray:
-    """[n, shares] spot prices around the forward prices [n], at shares from -1 to 1 of the widest
-    range. This range is exp(-1) to exp(1) times the forward price, unless
-    `PriceProcess.price_spread` gives another one."""
+    """[n, shares] spot prices around the forward prices [n], at shares from -1 to 1 of a range.
+    This range is exp(-1) to exp(1) times the forward price, unless `PriceProcess.price_spread`
+    gives another one."""
     simulator = simulator_of(problem)
     values = {name: item.value for name, item in problem.inputs_by_name.items()}
     spread = simulator.process.price_spread(simulator.curve.in_numpy(values), values)
@@ -73,7 +73,8 @@ def decide(
     inventory: np.ndarray,
     spot: np.ndarray | None = None,
 ) -> TriggerDecision:
-    """The decision of a day at each inventory [n] and spot price [n], by default the forward."""
+    """The decision on a day at each inventory [n] and spot price [n], by default the forward
+    price."""
     with jax.enable_x64(True):
         schedule = problem.schedule
         now = jax.tree.map(lambda leaf: np.asarray(leaf)[day], schedule.steps)
@@ -103,7 +104,7 @@ def _decided(
 
 @compiled_sooner
 def _gains(simulator: StorageSimulator, constants, policy: StoragePolicy, now, inventories, spots):
-    """Gains of the first unit injected, and of the first one withdrawn: [n, SPOTS] each."""
+    """The gains of the first unit injected and of the first unit withdrawn, each [n, SPOTS]."""
 
     def one(now, inventory, spot) -> tuple[Array, Array]:
         price = simulator.process.state_at(constants.price, now.price, spot)
@@ -116,7 +117,7 @@ def _gains(simulator: StorageSimulator, constants, policy: StoragePolicy, now, i
 
 
 def _crossing(spot: np.ndarray, gain: np.ndarray, falling: bool) -> np.ndarray:
-    """The spot price at which a gain changes sign, by linear interpolation, per row."""
+    """The spot price at which the gain changes sign, by linear interpolation, for each row."""
     result = np.full(len(spot), np.nan)
     requested = -1 if falling else 1
     for row, (s, g) in enumerate(zip(spot, gain)):

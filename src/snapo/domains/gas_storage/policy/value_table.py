@@ -1,9 +1,9 @@
 """The baseline of the policy: the marginal value of gas from a dynamic program, with innovations.
 
-One price factor has a table of values; several have a fitted value iteration. The policy is a
-network on top. The baseline is data, not a function of the inputs: a sensitivity moves the contract
-and the market, not the baseline. The innovations of the fitted value along a path are the control
-variate of a store's value.
+With one price factor the baseline is a table of values; with several factors it is a fitted value
+iteration. The policy adds a network to it. The baseline is data, not a function of the inputs: a
+sensitivity changes the contract and the market, but not the baseline. The innovations of the fitted
+value along a path are the control variate of the value of a store.
 """
 
 import math
@@ -22,8 +22,8 @@ from ..references.marginal import MarginalValues
 
 class Knots(NamedTuple):
     """One day of the value table: evenly spaced inventories from `low` to `high`, with [rows, n]
-    coefficients `above` and `below` each of them. They are valid for whitened factors up to
-    `reach`."""
+    coefficients `above` and `below` each of them. The coefficients are valid for whitened factors
+    up to `reach`."""
 
     low: Array
     high: Array
@@ -32,9 +32,9 @@ class Knots(NamedTuple):
     reach: Array
 
     def values(self, process, terms, now, state, above, below) -> list[Array]:
-        """Marginal values, as present values, above and below these inventories at day's end.
+        """The marginal values above and below these inventories at the end of the day.
 
-        The slow factors scale them all equally.
+        The slow factors scale all of them equally.
         """
         level = process.slow_level(terms.price, now.price, state)
         x = jnp.clip(process.fast(state), -self.reach, self.reach)
@@ -54,13 +54,15 @@ class ValueTable(eqx.Module):
 
 
 def readings(knots, above, below, value) -> list[Array]:
-    """`value` of a row of coefficients, above the inventories `above` and below those `below`."""
+    """The function `value` of the rows of coefficients: from the side `above` at the inventories
+    `above`, and from the side `below` at the inventories `below`."""
     upper = [between(knots, knots.above, inventory, value) for inventory in above]
     return upper + [between(knots, knots.below, inventory, value) for inventory in below]
 
 
 def between(knots, rows, inventory, value):
-    """`value` of a row of coefficients, linear between the rows on either side of an inventory."""
+    """The function `value` of a row of coefficients, linear between the rows on either side of an
+    inventory."""
     segments = rows.shape[0] - 1
     # A day may leave no choice of inventory; every row then holds the same value.
     width = jnp.where(knots.high > knots.low, knots.high - knots.low, jnp.inf)
@@ -75,7 +77,7 @@ def between(knots, rows, inventory, value):
 
 
 class FittedKnots(NamedTuple):
-    """One day of `bounds.value_iteration.FittedMarginal`: see there."""
+    """One day of a `bounds.value_iteration.FittedMarginal`."""
 
     low: Array
     high: Array
@@ -88,7 +90,7 @@ class FittedKnots(NamedTuple):
     exponents_ahead: Array | None = None
 
     def values(self, process, terms, now, state, above, below) -> list[Array]:
-        """Marginal values, as present values, above and below these inventories at day's end."""
+        """The marginal values above and below these inventories at the end of the day."""
         observed = functions(self, process.gaussian(state), self.above.shape[-1], REACH)
         return readings(self, above, below, lambda row: row @ observed)
 
@@ -96,9 +98,9 @@ class FittedKnots(NamedTuple):
 def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Array:
     """[size] the polynomials times the exponential, then the constant if there is one.
 
-    `reading` has a day's `whiten`, `common`, `shift` and `exponents`; whitened factors are cut at
-    `reach`. With exponents, the last factor is the spikes, and each function of the other factors
-    is multiplied by the exponentials of spikes.
+    `reading` has the `whiten`, `common`, `shift` and `exponents` of a day; whitened factors are cut
+    at `reach`. If there are exponents, the last factor is the spike, and each function of the other
+    factors is multiplied by the exponentials of the spike.
     """
     if reading.exponents is not None:
         inner = reading._replace(exponents=None)
@@ -114,7 +116,7 @@ def functions(reading, factors: Array, size: int, reach: float = math.inf) -> Ar
 
 
 def _polynomials(y: Array) -> list[Array]:
-    """Products of normalised Hermite polynomials, in the order of `powers`."""
+    """The products of normalised Hermite polynomials, in the order of `powers`."""
     degrees = powers(y.shape[0])
     tables = []
     for i in range(y.shape[0]):
@@ -149,14 +151,15 @@ class Reading(NamedTuple):
     exponents_ahead: Array | None = None
 
     def ahead(self, factors: Array, size: int, now: Array) -> Array:
-        """The functions that expectations of the next date are made of; `now`: those of the day."""
+        """The functions in which expectations of the next date are expressed; `now`: the functions
+        of the day."""
         if self.exponents is None:
             return now
         return functions(self._replace(exponents=self.exponents_ahead), factors, size)
 
 
 class SurpriseDay(NamedTuple):
-    """One day: its value, the expectation of the next date's value, and its functions."""
+    """One day: its value, the expectation of the value on the next date, and its functions."""
 
     now: DateValues
     ahead: DateValues
@@ -194,8 +197,9 @@ class Innovations(eqx.Module):
 def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Array:
     """The value at the start of a day minus its expectation for the next date.
 
-    Summed over the days, plus the value on the end date minus `first`, it is the sum of the
-    innovations. `before` and `after` are the inventories at the start and the end of the day.
+    The sum of these differences over the days, plus the value on the end date minus `first`, is the
+    sum of the innovations. `before` and `after` are the inventories at the start and the end of the
+    day.
     """
     # Data without a derivative: an adjoint need not form any.
     row, factors, before, after = jax.lax.stop_gradient((row, factors, before, after))
@@ -206,7 +210,7 @@ def of_day(row: SurpriseDay, factors: Array, before: Array, after: Array) -> Arr
 
 
 def of_end(row: SurpriseEnd, factors: Array, left: Array) -> Array:
-    """The end date's part of the sum."""
+    """The part of the sum on the end date."""
     row, factors, left = jax.lax.stop_gradient((row, factors, left))
     observed = functions(row.reading, factors, row.now.coefficients.shape[-1])
     return _worth(row.now, left, observed) - row.first

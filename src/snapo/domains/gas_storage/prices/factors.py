@@ -1,4 +1,5 @@
-"""Gaussian price factors with volatilities and mean reversions by delivery day: one, or several.
+"""Gaussian prices with one or several factors, with mean reversions, and volatilities by delivery
+day.
 
 The common part of all Gaussian factor prices comes first; each kind adds its parameters.
 """
@@ -28,7 +29,7 @@ from .process import (
 
 
 class StorageStep(NamedTuple):
-    """A row of the core's `FactorStep`, and the variance of ln S without the fast factor."""
+    """A row of `FactorStep` of the core, and the variance of ln S without the fast factor."""
 
     forward: Array
     loading: Array
@@ -39,8 +40,9 @@ class StorageStep(NamedTuple):
 
 
 class StorageConstants(NamedTuple):
-    """The core's `FactorConstants`, and `before` [F, n F]: the factors on the first date as a sum
-    of the noise of the n days before; its covariance is that of `first_shock`."""
+    """The `FactorConstants` of the core, and `before` [F, n F]: the matrix that maps the noise of
+    the n days before the first date to the factors on that date, with the covariance of
+    `first_shock`."""
 
     first_shock: Array
     size: Array
@@ -48,7 +50,7 @@ class StorageConstants(NamedTuple):
 
 
 class FactorPrices(FactorPrice, PriceProcess):
-    """Correlated mean-reverting factors around the forward curve; see the core's `FactorPrice`."""
+    """Correlated mean-reverting factors around the forward curve; see `FactorPrice` of the core."""
 
     delivery: AbstractVar[Times]
     fast_factor: AbstractVar[int]  # which reverts fastest, among those that move prices
@@ -92,8 +94,8 @@ class FactorPrices(FactorPrice, PriceProcess):
         return () if notice is None else tuple(notice.tolist())
 
     def _when_nominated(self, numbers: Factors) -> Factors:
-        """The factors of prices when flows are nominated: a time u before its date a forward price
-        has exp(-a u) of the loading of the spot price."""
+        """The factors of prices if flows are nominated. At a time u before its date, a forward
+        price has the loading of the spot price times exp(-a u)."""
         notice = self.delivery.notice
         if notice is None:
             return numbers
@@ -176,7 +178,8 @@ class GivenFactors(FactorPrices):
         correlation: CaseInput,
         **more: CaseInput,
     ):
-        """The process with its number of factors and its fast one; `more`: fields of a subclass."""
+        """The process with its number of factors and its fast factor; `more`: the fields of a
+        subclass."""
         moves = volatility.used().max(axis=0) > 0
         fast = int(np.argmax(np.where(moves, mean_reversion.used(), -1.0)))
         numbers = mean_reversion, volatility, correlation
@@ -202,7 +205,8 @@ def read_factors(
     positions: Sequence[FilePosition],
     delivery: Delivery,
 ) -> dict[str, CaseInput]:
-    """The numbers of several factors, with the strict lower triangle of their correlations."""
+    """Reads the numbers of several factors, with the strict lower triangle of their
+    correlations."""
     count, dates = len(factors), delivery.dates
     volatilities = [factor.volatility.on(dates, section.notes) for factor in factors]
     pairs = [f"{i},{j}" for i in range(2, count + 1) for j in range(1, i)]
@@ -277,7 +281,7 @@ class MultiFactor(GivenFactors):
 
 
 def _correlation(section: TableContext, values, size: int) -> list[float]:
-    """The strict lower triangle of a matrix that is checked to be a correlation matrix."""
+    """The strict lower triangle of a matrix; refuses a matrix that is not a correlation matrix."""
     if values is None and size == 1:
         return []
     if values is None:
@@ -292,7 +296,7 @@ def _correlation(section: TableContext, values, size: int) -> list[float]:
             raise section.error(f"correlation.{i + 1},{i + 1}", matrix[i, i], "it must be 1")
         for j in range(i):
             if matrix[i, j] != matrix[j, i]:
-                message = f"the matrix must be symmetric, and {j + 1},{i + 1} is {matrix[j, i]:g}"
+                message = f"the matrix must be symmetric, but {j + 1},{i + 1} is {matrix[j, i]:g}"
                 raise section.error(f"correlation.{i + 1},{j + 1}", matrix[i, j], message)
             if not -1 <= matrix[i, j] <= 1:
                 message = "it must be a number from -1 to 1"
@@ -300,8 +304,8 @@ def _correlation(section: TableContext, values, size: int) -> list[float]:
     smallest = float(np.linalg.eigvalsh(matrix)[0])
     if smallest <= 1e-12:
         message = (
-            "a correlation matrix must be positive definite, and the smallest eigenvalue of this "
-            f"one is {smallest:.3g}; factors that move as one are one factor"
+            "a correlation matrix must be positive definite, but the smallest eigenvalue of this "
+            f"one is {smallest:.3g}; combine factors that always move together into one factor"
         )
         raise section.error("correlation", values, message)
     return list(matrix[np.tril_indices(size, -1)])

@@ -1,10 +1,10 @@
-"""A spot price and the month-ahead index of its market, which contracts of energy pay.
+"""A spot price, and the month-ahead index of its market, which energy contracts may pay.
 
     I(m) = mean over the days d of month m of F(d, s),   s the last day before the month
 
-with F(d, s) the forward price of d on day s. With one Gaussian factor f it is a function of f(s),
-so that spot and index are a function of two factors: f, and g, which is f(s) for the whole month.
-For prices of kind "one-factor", of volatility v and mean reversion a,
+with F(d, s) the forward price of d on day s. With one Gaussian factor f the index is a function of
+f(s). The spot price and the index are therefore functions of two factors: f, and g, which equals
+f(s) during the whole month. For prices of kind "one-factor" with volatility v and mean reversion a,
 
     F(d, s) = F(d, 0) exp(v e g - v^2 e^2 var f(s) / 2),   e = exp(-a (d - s)).
 
@@ -31,8 +31,8 @@ class IndexRows(NamedTuple):
     """The index of each of T + 1 dates: `fixed`, plus the sum of `weight` times the forward prices
     of its days, with `loading` on g and `variance`; leaves [T + 1, D], `fixed` [T + 1].
 
-    `renewed` [T + 1]: whether g is set between the date before and this date, to the f of the date
-    before.
+    `renewed` [T + 1]: whether, between the date before and this date, g is set to the value of f on
+    the date before.
     """
 
     forward: Array
@@ -43,12 +43,12 @@ class IndexRows(NamedTuple):
     renewed: Array
 
     def expected(self) -> Array:
-        """[T + 1] today's expectation."""
+        """[T + 1] today's expectation of the index."""
         return (self.weight * self.forward).sum(axis=-1) + self.fixed
 
 
 class PriceIndex(NamedTuple):
-    """The index as used by dynamic programs. g is the last factor, on which the spot price has no
+    """The index, as dynamic programs use it. g is the last factor, on which the spot price has no
     loading; `carry` [T + 1, F, F]: the shares of other factors that are carried into g before each
     date."""
 
@@ -69,11 +69,12 @@ class PriceIndex(NamedTuple):
 
 
 class IndexMonths(TreeRecord):
-    """The months of T + 1 dates; the end date has the index of the last day.
+    """The months of T + 1 dates; the index of the end date is that of the last day.
 
-    - `days` [T + 1, D]: dates of the month, by number; `weight`: the weight of each, 0 where there
-      is no date.
-    - `ahead` [T + 1, D]: years from the day before the month; `fixing_time` [T + 1]: years to it.
+    - `days` [T + 1, D]: the dates of the month, by number; `weight`: the weight of each date, 0 for
+      an entry without a date.
+    - `ahead` [T + 1, D]: years from the day before the month to each date; `fixing_time` [T + 1]:
+      years from the valuation date to the day before the month.
     - `renewed` [T + 1]: whether a month begins with the date; false for the first date.
     - `fixed` [T + 1]: 1 if the index was fixed before today, else 0.
     """
@@ -87,8 +88,8 @@ class IndexMonths(TreeRecord):
 
     @classmethod
     def of(cls, delivery: Delivery, fixed_first: bool) -> "IndexMonths":
-        """The index of a delivery with all days of its months; `fixed_first`: the first may lack
-        some, since its index was fixed before today."""
+        """The index of a delivery with all days of its months; `fixed_first`: whether days may be
+        missing in the first month, since its index was fixed before today."""
         dates = list(delivery.dates)
         months = [(day.year, day.month) for day in dates[:-1]]
         count = len(dates)
@@ -117,7 +118,8 @@ class IndexMonths(TreeRecord):
 
 
 class IndexedStep(NamedTuple):
-    """A row of the spot price's process; a row of the index; whether the next date renews g."""
+    """A row of the process of the spot price, a row of the index, and whether the next date renews
+    g."""
 
     spot: Any
     index: IndexRows
@@ -125,9 +127,9 @@ class IndexedStep(NamedTuple):
 
 
 class IndexedConstants(NamedTuple):
-    """The constants of the spot price's process. `before` [1, n]: the weights of the noise of the
-    days before in g on the first date; `first` [2]: the variance of g on that date, and the share
-    of g in the mean of f."""
+    """The constants of the process of the spot price. `before` [1, n]: the weights, in g on the
+    first date, of the noise of the days before; `first` [2]: the variance of g on that date, and
+    the share of g in the mean of f."""
 
     spot: Any
     before: Array
@@ -135,14 +137,14 @@ class IndexedConstants(NamedTuple):
 
 
 class IndexedState(NamedTuple):
-    """The state of the spot price's process, and g [1]."""
+    """The state of the process of the spot price, and g [1]."""
 
     spot: Any
     at_fixing: Array
 
 
 class IndexedPrices(TwoPrices):
-    """A spot price of one factor, and the month-ahead index; see the top of this file.
+    """A spot price with one factor, and the month-ahead index; see the top of this file.
 
     - `spot`: the process of the spot price; `months`: the months of the index.
     - `fixing`: the index of the first month, fixed before today; None if it follows from the curve.
@@ -199,7 +201,7 @@ class IndexedPrices(TwoPrices):
         return KnownPrices(IndexRows(*rows))
 
     def _first(self, spot: Schedule, speed: Array) -> tuple[Array, Array]:
-        """`before` and `first` of `IndexedConstants`."""
+        """The fields `before` and `first` of `IndexedConstants`."""
         months, age = self.months, self.spot.delivery.age
         free = 1.0 - months.fixed[0]
         # A day's shock moves g where it came before the last day before the month.
@@ -275,13 +277,14 @@ class IndexedPrices(TwoPrices):
 
 
 def _joint(deviation: float, variance: float, share: float) -> np.ndarray:
-    """[2, 2] lower Cholesky factor of the covariance of f, of this deviation, and g."""
+    """[2, 2] the lower Cholesky factor of the covariance of f, with this standard deviation, and
+    g."""
     below = share * variance / deviation if deviation > 0 else 0.0
     return np.array([[deviation, 0.0], [below, np.sqrt(max(variance - below**2, 0.0))]])
 
 
 def indexed(prices: PriceProcess, delivery: Delivery, fixing: CaseInput | None) -> IndexedPrices:
-    """The prices of a case with the index; they have one factor."""
+    """The prices of a case, which have one factor, with the month-ahead index added."""
     if not isinstance(prices, GivenFactors) or prices.noise_size != 1:
         raise TypeError(f"{type(prices).__name__} has no month-ahead index")
     months = IndexMonths.of(delivery, fixing is not None)

@@ -1,4 +1,5 @@
-"""`[model]` of kind "one-factor-jumps": a mean-reverting factor, and spikes that die out faster."""
+"""`[model]` of kind "one-factor-jumps": a mean-reverting factor, and spikes that die out faster
+than it."""
 
 from typing import Literal, NamedTuple
 
@@ -30,14 +31,14 @@ INTENSITY = Quantity(
     Range(0.0, YEAR, "()", noun="a number of jumps per year"),
     "price model",
     move=1.0,
-    plausible=Plausible(0.05, 200.0, "it is the number of spikes in a year"),
+    plausible=Plausible(0.05, 200.0, "it is the number of spikes per year"),
 )
 SIZE = Quantity(
     "1",
-    Range(0.0, 1.0, "()", ": the mean of ln S"),
+    Range(0.0, 1.0, "()", ": the mean rise of ln S"),
     "price model",
     move=0.01,
-    plausible=Plausible(0.01, 0.95, "it is the mean of ln S, 0.5 is a spike of 65 %"),
+    plausible=Plausible(0.01, 0.95, "it is the mean rise of ln S; 0.5 is a spike of 65 %"),
 )
 
 
@@ -46,13 +47,13 @@ class JumpTable(SingleFactorTable):
 
     kind: Literal["one-factor-jumps"] = doc("one factor, and at most one upward spike a day")
     jump_intensity: CaseInput = INTENSITY("spikes per year")
-    jump_size: CaseInput = SIZE("mean spike of ln S")
+    jump_size: CaseInput = SIZE("mean rise of ln S in a spike")
     jump_mean_reversion: CaseInput = REVERSION("speed at which a spike dies out")
 
 
 class JumpConstants(NamedTuple):
-    """Constants of the first shock and of every day: decays, deviation of a day, jump probability
-    and size."""
+    """The constants of the first shock and of every day: decays, standard deviation of a day, jump
+    probability and size."""
 
     first_deviation: Array
     decay: Array
@@ -64,7 +65,8 @@ class JumpConstants(NamedTuple):
 
 
 class JumpStep(NamedTuple):
-    """Forward price, volatility by delivery day, variance of the factor, ln E of the spikes."""
+    """The forward price, the volatility of the delivery day, the variance of the factor, and ln
+    E[exp y] of the spikes y."""
 
     forward: Array
     loading: Array
@@ -76,20 +78,20 @@ class JumpStep(NamedTuple):
 class OneFactorJumps(PriceProcess):
     """S(T) = F(T) exp(s(T) f(T) - variance / 2 + y(T) - c(T)), c(T) = ln E[exp y(T)].
 
-    f is an Ornstein-Uhlenbeck factor as in "one-factor". y is a sum of upward spikes that decay
-    at `jump_mean_reversion` b: on each day after the valuation date a spike occurs with
-    probability p = 1 - exp(-intensity / 365). Its size in ln S is exponentially distributed with
-    mean eta. Spikes
-    of n days ago have shrunk by exp(-b n / 365), so c is a sum over days, and E[S(T)] = F(T):
+    f is an Ornstein-Uhlenbeck factor as in "one-factor". y is a sum of upward spikes that decay at
+    `jump_mean_reversion` b: on each day after the valuation date a spike occurs with probability p
+    = 1 - exp(-intensity / 365). Its size in ln S is exponentially distributed with mean eta. A
+    spike of n days ago has shrunk by the factor exp(-b n / 365). c is therefore a sum over days,
+    with which E[S(T)] = F(T):
 
         c(d) = sum_{n=0}^{d-1} ln(1 - p + p / (1 - eta exp(-b n / 365))),   eta < 1.
 
     A spike is eta x max(0, E - ln(1 / p)) with E = (z1^2 + z2^2) / 2 of two standard normals, which
     is exponential: P(E > ln(1 / p)) = p, and the excess is exponential again. This size is
-    continuous in p, so that pathwise derivatives with respect to the intensity are those of the
-    expectation. Source: the jump sizes are those of Kou (2002), upward only, around a
-    mean-reverting spot as in Merton (1976). The state is (f, y). `gap`, `last`: days from valuation
-    to the first and the last price.
+    continuous in p, so that pathwise derivatives with respect to the intensity are unbiased.
+    Source: the jump sizes are those of Kou (2002), but only upward, added to a mean-reverting
+    price; jump diffusions are from Merton (1976). The state is (f, y). `gap`, `last`: the days from
+    the valuation date to the first and to the last price.
     """
 
     kind = "one-factor-jumps"
@@ -116,11 +118,11 @@ class OneFactorJumps(PriceProcess):
         return 1 + (self.noise_size - 1) * self.gap
 
     def _threshold(self, inputs) -> Array:
-        """Minus the logarithm of the probability of a spike a day."""
+        """Minus the logarithm of the probability of a spike on a day."""
         return -jnp.log(-jnp.expm1(-use(inputs, self.jump_intensity) / YEAR))
 
     def _compensator(self, inputs, days: Array) -> Array:
-        """ln E[exp y] after so many days."""
+        """ln E[exp y] after these numbers of days."""
         probability = -jnp.expm1(-use(inputs, self.jump_intensity) / YEAR)
         # Sizes that a spike has left after 0, 1, … days, and the mean of its exponential.
         ages = np.arange(max(self.last, 1))
@@ -130,7 +132,7 @@ class OneFactorJumps(PriceProcess):
         return jnp.concatenate([jnp.zeros(1), compensator])[days.astype(int)]
 
     def _spike(self, constants: JumpConstants, noise) -> Array:
-        """What the spikes of a day leave at its end."""
+        """The remainder, at the end of a day, of the spikes of this day."""
         excess = (noise[0] ** 2 + noise[1] ** 2) / 2 - constants.threshold
         return constants.size * jnp.maximum(excess, 0.0)
 
@@ -201,11 +203,11 @@ class OneFactorJumps(PriceProcess):
         return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, spikes=spikes)
 
     def _rate(self, threshold: float) -> tuple[float, bool]:
-        """Spikes a day, and whether they are a Poisson process."""
+        """The number of spikes per day, and whether they are a Poisson process."""
         return -np.log1p(-np.exp(-threshold)), False
 
     def describe(self) -> str:
-        return "One mean-reverting factor with upward spikes that die out, compensated"
+        return "One mean-reverting factor with upward spikes that die out, around the forward price"
 
 
 class PoissonJumpTable(JumpTable):
@@ -221,7 +223,8 @@ LOST = 1e-7  # probability of more spikes a day than are drawn
 
 @register
 class OneFactorPoissonJumps(OneFactorJumps):
-    """The same with spikes of a compound Poisson process, dy = -b y dt + dJ, in continuous time.
+    """The model of `OneFactorJumps`, with spikes of a compound Poisson process in continuous time:
+    dy = -b y dt + dJ.
 
     Several spikes may occur on a day, and each has partly decayed at the end of the day. The
     compensator is
@@ -259,7 +262,8 @@ class OneFactorPoissonJumps(OneFactorJumps):
         return use(inputs, self.jump_intensity) * eta / (1 - eta) * time * mean
 
     def _spike(self, constants: JumpConstants, noise) -> Array:
-        """What the spikes of a day leave: sizes from exponentials, times from the angles."""
+        """The remainder of the spikes of a day: sizes from the exponentials, times from the
+        angles."""
         total, point = jnp.zeros(()), jnp.zeros(())
         log_decay = jnp.log(constants.jump_decay)
         for first in range(0, self.noise_size - 1, 2):

@@ -22,8 +22,8 @@ SHIFT = Quantity("price", NOT_NEGATIVE, "price model", move=1.0, limits=Range(0.
 
 
 class SignedPrices(GivenFactors):
-    """Factors of a price that may be negative, and so is not proportional to the forward curve.
-    The scale of the price for a policy does not change if a constant is added to the curve.
+    """Factors of a price that may be negative and is therefore not proportional to the forward
+    curve. The scale of prices for a policy does not change if a constant is added to the curve.
     """
 
     proportional = False
@@ -55,7 +55,7 @@ class NormalPriceTable(FactorTable):
 
 @register
 class NormalPrices(SignedPrices):
-    """S(T) = F(T) + s(T) f(T), one Ornstein-Uhlenbeck factor; S is normal, so E[S(T)] = F(T).
+    """S(T) = F(T) + s(T) f(T), one Ornstein-Uhlenbeck factor; S is normal with E[S(T)] = F(T).
 
     The variance of S(T) is s^2 (1 - exp(-2 a T)) / (2 a). Source: Bachelier (1900), "Théorie de la
     spéculation"; Lucia and Schwartz (2002), "Electricity prices and power derivatives", with a
@@ -91,9 +91,9 @@ class ShiftedTable(FactorTable):
     """`[model]` of kind "one-factor-shifted"."""
 
     kind: Literal["one-factor-shifted"] = doc(
-        "one factor, prices lognormal above minus the shift, which may be negative"
+        "one factor; the price plus a shift is lognormal, so that prices may be negative"
     )
-    shift: CaseInput = SHIFT("shift; the spot price is above minus this number")
+    shift: CaseInput = SHIFT("shift; the spot price is always above minus this number")
 
 
 class ShiftedConstants(NamedTuple):
@@ -110,7 +110,7 @@ class Shifted(SignedPrices):
     """S(T) = (F(T) + h) exp(s(T) f(T) - variance / 2) - h, one Ornstein-Uhlenbeck factor.
 
     S(T) + h is lognormal with mean F(T) + h, so that E[S(T)] = F(T) and S(T) > -h. For a large h
-    and s = v / (F + h) it tends to the normal price of volatility v. Source: Rubinstein (1983),
+    and s = v / (F + h) it tends to the normal price with volatility v. Source: Rubinstein (1983),
     "Displaced diffusion option pricing".
     """
 

@@ -3,8 +3,8 @@
     S_i(t) = F_i(t) exp(v_i(t) f_i(t) - variance_i(t) / 2),   df_i = -a_i f_i dt + dW_i,
     dW_1 dW_2 = rho dt
 
-so that E[S_i(t)] = F_i(t). Transitions are exact over any step: the shocks of a step of length h
-have the covariance rho (1 - exp(-(a_1 + a_2) h)) / (a_1 + a_2).
+so that E[S_i(t)] = F_i(t). Transitions are exact for steps of any length: the shocks of a step of
+length h have the covariance rho (1 - exp(-(a_1 + a_2) h)) / (a_1 + a_2).
 """
 
 from typing import Any, ClassVar, NamedTuple
@@ -21,23 +21,24 @@ from .process import GaussianFactors, KnownPrices, Times, TwoPrices, use
 
 
 class SecondRows(NamedTuple):
-    """The second commodity on each date [T + 1]: forward price, volatility, variance of ln S."""
+    """The second commodity on each date [T + 1]: its forward price, volatility, and variance of ln
+    S."""
 
     forward: Array
     loading: Array
     variance: Array
 
     def expected(self) -> Array:
-        """[T + 1] today's expectation of its price."""
+        """[T + 1] today's expectation of the price of the second commodity."""
         return self.forward
 
     def price(self, factor):
-        """The spot price if its factor has this value."""
+        """The spot price of the second commodity if its factor has this value."""
         return self.forward * jnp.exp(self.loading * factor - self.variance / 2)
 
 
 class PairStep(NamedTuple):
-    """A row of `StorageStep` for the first commodity, and one of the second: `index`."""
+    """A row of `StorageStep` for the first commodity, and a row for the second: `index`."""
 
     forward: Array
     loading: Array
@@ -49,7 +50,7 @@ class PairStep(NamedTuple):
 
 
 class SecondCommodity(NamedTuple):
-    """The second commodity as dynamic programs read it: its factor is the last."""
+    """The second commodity as dynamic programs use it; its factor is the last one."""
 
     rows: SecondRows
     carry: np.ndarray
@@ -57,22 +58,25 @@ class SecondCommodity(NamedTuple):
     one_factor = True  # moves this price
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
-        """[n] its price on date t if the last factor has these values [n]."""
+        """[n] the price of the second commodity on date t if the last factor has these values
+        [n]."""
         forward, loading, variance = (np.asarray(x[t]) for x in self.rows)
         return of.spot(forward, of.noise(loading * g, variance))
 
     def at(self, of: GaussianFactors, t: int, factors: np.ndarray) -> np.ndarray:
-        """[n] its price on date t if all factors have these values [F, n]."""
+        """[n] the price of the second commodity on date t if all factors have these values [F,
+        n]."""
         return self.price(of, t, factors[-1])
 
 
 class CommodityPair(FactorPrices, TwoPrices):
-    """Two commodities; see the top of this file. The first is the spot price, the second the index.
+    """Two commodities; see the top of this file. The price of the first is the spot price, the
+    price of the second the index.
 
     - `delivery`: the delivery of the first; `second_curve`: forward prices of the second, index
       [T].
-    - `reversions`, `volatilities`: mean reversion and volatility of each, index [] and [T + 1];
-      `correlation`: the correlation of their shocks.
+    - `reversions`, `volatilities`: the mean reversion and the volatility of each, index [] and [T +
+      1]; `correlation`: the correlation of their shocks.
     """
 
     delivery: Times

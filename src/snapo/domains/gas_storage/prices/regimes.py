@@ -24,13 +24,15 @@ from .process import (
 
 PROBABILITY = Quantity(
     "1",
-    Range(0.0, 1.0, "()", noun="a probability a day"),
+    Range(0.0, 1.0, "()", noun="a probability per day"),
     "price model",
     move=0.001,
     display_unit="percentage point",
     display_factor=100.0,
 )
-PREMIUM = Quantity("1", Range(0.0, note=": the rise of ln S"), "price model", move=0.01)
+PREMIUM = Quantity(
+    "1", Range(0.0, note=": the rise of ln S in a tight market"), "price model", move=0.01
+)
 
 
 class RegimeTable(SingleFactorTable):
@@ -39,12 +41,14 @@ class RegimeTable(SingleFactorTable):
     kind: Literal["regimes"] = doc("one factor in a market that is calm or tight")
     tightens: CaseInput = PROBABILITY("probability per day that a calm market becomes tight")
     eases: CaseInput = PROBABILITY("probability per day that a tight market becomes calm")
-    premium: CaseInput = PREMIUM("logarithm of the ratio of a tight market's price to a calm one's")
+    premium: CaseInput = PREMIUM(
+        "logarithm of the ratio of the price in a tight market to that in a calm market"
+    )
 
 
 class RegimeState(NamedTuple):
-    """The factor, whether the market is tight (1) or calm (0), and the likelihood ratio of its
-    regimes so far."""
+    """The factor, the regime of the market (1 if it is tight, 0 if it is calm), and the likelihood
+    ratio of the regimes so far."""
 
     factor: Float[Array, ""]
     tight: Int[Array, ""]
@@ -52,9 +56,9 @@ class RegimeState(NamedTuple):
 
 
 class RegimeConstants(NamedTuple):
-    """Constants: for the first day the factor's deviation and the probability [] of a tight
-    market; for every day decay, deviation and transition [2, 2]; the premium, and the size of the
-    factor after a year."""
+    """The constants: for the first day the standard deviation of the factor and the probability []
+    of a tight market; for every day its decay, standard deviation and transition matrix [2, 2]; the
+    premium; and the size of the factor after a year."""
 
     first_deviation: Array
     first_tight: Array
@@ -66,8 +70,8 @@ class RegimeConstants(NamedTuple):
 
 
 class RegimeStep(NamedTuple):
-    """Forward price, volatility by delivery day, variance of ln S without regimes, ln E of the
-    premium."""
+    """The forward price, the volatility of the delivery day, the variance of ln S without regimes,
+    and ln E[exp(premium R)]."""
 
     forward: Array
     loading: Array
@@ -79,16 +83,17 @@ class RegimeStep(NamedTuple):
 class Regimes(PriceProcess):
     """S(T) = F(T) exp(s(T) f(T) - variance / 2 + premium R(T) - c(T)), R a Markov chain on {0, 1}.
 
-    f is an Ornstein-Uhlenbeck factor as in "one-factor", R = 1 a tight market. The market is calm
-    on the valuation date, and after d days tight with probability
+    f is an Ornstein-Uhlenbeck factor as in "one-factor", and R = 1 in a tight market. The market is
+    calm on the valuation date. After d days it is tight with the probability
 
         p(d) = pi (1 - (1 - tightens - eases)^d),   pi = tightens / (tightens + eases),
 
     so that c(d) = ln E[exp(premium R)] = ln(1 + p(d) (exp(premium) - 1)) and E[S(T)] = F(T). A path
-    has no derivative with respect to the probabilities: the state carries its likelihood ratio
-    (`weight`), and the derivative of the mean is correct. Source: Hamilton (1989), "A new approach
-    to the economic analysis of nonstationary time series"; de Jong (2006), "The nature of power
-    spikes". `gap`, `last`: days from valuation to the first and the last price.
+    has no derivative with respect to the probabilities. The state therefore carries its likelihood
+    ratio (`weight`), with which the derivative of the mean is correct. Source: Hamilton (1989), "A
+    new approach to the economic analysis of nonstationary time series"; de Jong (2006), "The nature
+    of power spikes". `gap`, `last`: the days from the valuation date to the first and to the last
+    price.
     """
 
     kind = "regimes"
@@ -167,7 +172,7 @@ class Regimes(PriceProcess):
         return jnp.stack([constants.feature * state.factor, 1.0 * state.tight])
 
     def state_at(self, constants, now, spot):
-        """The state in a calm market."""
+        """The state with this spot price in a calm market."""
         level = jnp.log(spot / now.forward) + now.variance / 2 + now.compensator
         factor = jnp.where(
             now.loading > 0, level / jnp.where(now.loading > 0, now.loading, 1.0), 0.0
@@ -181,7 +186,8 @@ class Regimes(PriceProcess):
         return jnp.exp(constants.premium * state.tight - now.compensator)
 
     def factors(self, schedule):
-        """The factor of a market without regimes, an approximation: no lattice in it is exact."""
+        """The factor of a market without regimes. This is an approximation: a lattice in this
+        factor is not exact."""
         constants, steps = schedule.constants, schedule.steps
         count = len(steps.forward)
         shock = np.full((count, 1, 1), constants.deviation)
@@ -190,7 +196,7 @@ class Regimes(PriceProcess):
         return GaussianFactors(steps.loading[:, None], steps.variance, decay, shock, exact=False)
 
     def describe(self) -> str:
-        return "One mean-reverting factor in a market that is calm or tight, compensated"
+        return "One mean-reverting factor in a calm or tight market, around the forward price"
 
 
 def _chain(transition: Float[Array, "2 2"]) -> Any:

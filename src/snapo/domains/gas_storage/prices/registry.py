@@ -1,4 +1,5 @@
-"""Collects the price processes of this folder, and reads `[model]` with the named one."""
+"""Collects the price processes of this folder, and reads `[model]` with the process of its
+`kind`."""
 
 import pkgutil
 from collections.abc import Mapping
@@ -20,7 +21,7 @@ for _file in pkgutil.iter_modules([str(Path(__file__).parent)]):
 
 
 def kinds() -> dict[str, type[PriceProcess]]:
-    """Every known process by its name in `[model]`."""
+    """All price processes, by their name in `[model]`."""
     return dict(KINDS)
 
 
@@ -41,7 +42,8 @@ def read_prices(section: TableContext, data: Mapping[str, Any], delivery: Delive
 
 
 def check_curve(file: str, process: PriceProcess, delivery: Delivery) -> None:
-    """Raises `CaseError` if a proportional price has a forward curve that is not above 0."""
+    """Raises `CaseError` if a price that is proportional to the forward curve has a curve that is
+    not above 0."""
     curve = delivery.curve
     if not process.proportional:
         return

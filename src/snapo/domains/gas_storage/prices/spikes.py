@@ -1,8 +1,8 @@
-"""The law of the spikes of a price, as dynamic programs read it: y(t + 1) = decay y(t) + J.
+"""The law of the spikes of a price, for dynamic programs: y(t + 1) = decay y(t) + J.
 
-J >= 0 is the effect of a day's spikes at its end, independent of the past: at most one of
-exponential
-size ("Bernoulli"), or the remainder of a compound Poisson process. Everything here is plain NumPy.
+J >= 0 is the effect, at the end of a day, of the spikes of this day, and is independent of the
+past. It is at most one spike of exponential size ("Bernoulli"), or the remainder of a compound
+Poisson process. Everything here is plain NumPy.
 """
 
 from typing import NamedTuple
@@ -17,8 +17,9 @@ class Spikes(NamedTuple):
     """Spikes of ln S: log-price + y - compensator.
 
     - `decay`: the share of a spike that is left after a day; `size`: the mean of a spike.
-    - `rate`: spikes per day; `poisson`: whether several may occur, and decay, within a day.
-    - `before`: days from the valuation date, on which there are no spikes, to the first date.
+    - `rate`: spikes per day; `poisson`: whether several spikes may occur, and decay, within a day.
+    - `before`: the number of days from the valuation date, when there are no spikes, to the first
+      date.
     - `compensator` [T + 1]: ln E[exp y] on each date.
     """
 
@@ -65,12 +66,12 @@ class Spikes(NamedTuple):
 
     @property
     def _shape(self) -> float:
-        """Spikes that come while one dies out by the factor e."""
+        """The number of spikes that occur while a spike shrinks by the factor e."""
         return self.rate / -np.log(self._left)
 
     @property
     def _left(self) -> float:
-        """The decay, of spikes that do die out."""
+        """The decay, limited to values with which spikes die out."""
         return min(max(self.decay, 1e-300), 1 - 1e-6)
 
 
@@ -78,7 +79,7 @@ LARGEST, LEAST = 16.0, 2e-3  # nodes of spikes above 0, as `REACH` of spikes, an
 
 
 def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
-    """Zero, and about `count` nodes above it in a constant ratio. If possible, the decay of a day
+    """Zero, and about `count` nodes above it with a constant ratio. If possible, the decay of a day
     is a power of this ratio, so that without a new spike every node moves to another node.
     """
     largest = LARGEST / (1 - spikes.size)
@@ -91,8 +92,8 @@ def spike_nodes(spikes: Spikes, count: int) -> np.ndarray:
 
 
 def spike_weights(spikes: Spikes, nodes: np.ndarray, start: np.ndarray) -> np.ndarray:
-    """Weights [start, nodes] of the expectation a day later; on the first date, where `start` is
-    the valuation date."""
+    """The weights [start, nodes] of the expectation a day later; or on the first date, if `start`
+    is the valuation date."""
     points, probabilities = spikes.quadrature()
     from scipy.interpolate import CubicSpline  # late: few cases need it, and it loads slowly
 

@@ -1,4 +1,4 @@
-"""`[model]` of kind "supplied": user-supplied price paths, from two different files."""
+"""`[model]` of kind "supplied": price paths of the user, from two different files."""
 
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Literal, NamedTuple
@@ -23,9 +23,9 @@ PATHS = "the name of a .npy or .parquet file"
 class SuppliedTable(CaseTable):
     """`[model]` of kind "supplied"."""
 
-    kind: Literal["supplied"] = doc("price paths of your own")
-    training_paths: Nonempty = doc("price paths of the training, [path, day]", allowed=PATHS)
-    evaluation_paths: Nonempty = doc("other price paths, for the valuation", allowed=PATHS)
+    kind: Literal["supplied"] = doc("your own price paths")
+    training_paths: Nonempty = doc("price paths for training, [path, day]", allowed=PATHS)
+    evaluation_paths: Nonempty = doc("other price paths, for evaluation", allowed=PATHS)
     rescale_to_curve: bool = doc(
         "whether the paths are scaled so that their mean is the forward curve", False
     )
@@ -33,14 +33,14 @@ class SuppliedTable(CaseTable):
 
 @dataclass(frozen=True, eq=False)
 class SuppliedPaths:
-    """Prices, or ratios to the forward curve, of two files: [paths, T], or [paths, T + 1] if the
-    end date needs a price."""
+    """The prices in two files, or their ratios to the forward curve: [paths, T], or [paths, T + 1]
+    if the end date needs a price."""
 
     training: np.ndarray
     evaluation: np.ndarray
 
     def use(self) -> None:
-        """Scenarios, and no part of a simulator."""
+        """The paths are scenarios, and not part of a simulator."""
 
 
 class SuppliedStep(NamedTuple):
@@ -53,9 +53,10 @@ class SuppliedStep(NamedTuple):
 class SuppliedPrices(PriceProcess):
     """Prices from a file; its paths replace the noise.
 
-    With `rescaled` the arrays are factors on the forward curve: the prices of each day divided by
-    their mean over the paths of the file. Without it they are prices in currency per unit, which
-    do not depend on the forward curve; only `scale`, the mean size of the curve, is used.
+    If `rescaled`, the arrays are factors that multiply the forward curve: the prices of each day,
+    divided by their mean over the paths of the file. Otherwise they are prices in currency per
+    unit, which do not depend on the forward curve; only `scale`, the mean size of the curve, is
+    used.
     """
 
     kind = "supplied"
@@ -83,7 +84,7 @@ class SuppliedPrices(PriceProcess):
         arrays = [read_array(reference, len(days), span) for reference in references]
         if np.array_equal(arrays[0], arrays[1]):
             message = (
-                "this holds the same paths as training_paths; evaluation needs different paths"
+                "this file has the same paths as training_paths; evaluation needs different paths"
             )
             raise references[1].error(message)
         if table.rescale_to_curve:
@@ -125,10 +126,11 @@ class SuppliedPrices(PriceProcess):
         return jnp.atleast_1d(spot / now.forward if self.rescaled else spot)
 
     def sources(self, seed: int) -> "Sources":
-        """Three quarters of the training paths train, the others validate; evaluation has separate
-        paths.
+        """Three quarters of the training paths are for training, the others for validation;
+        evaluation has separate paths.
 
-        The first day's price starts a path; the days after it are its noise.
+        A path starts from the price of the first day; the prices of the days after it are its
+        noise.
         """
         from snapo.problem.scenarios import Sources, Supplied  # JAX: of a run, not of a case
 
@@ -150,7 +152,8 @@ class SuppliedPrices(PriceProcess):
 
 
 def _noise(name: str, array: np.ndarray, days) -> np.ndarray:
-    """The paths over their mean of the day, so that the expected spot is the forward price."""
+    """The paths divided by their mean on each day, so that the expected spot price is the forward
+    price."""
     mean = array.mean(axis=0)
     for column in np.flatnonzero(mean <= 0)[:1]:
         got = Unquoted(f"a mean price of {mean[column]:g}")

@@ -26,7 +26,7 @@ class SeasonalTable(CaseTable):
         "speed at which the spot price returns to the curve",
         plausible=Plausible(1.0, 1000.0, SPEED),
     )
-    spot_volatility: CaseInput = VOLATILITY("volatility of the fast factor, which reverts")
+    spot_volatility: CaseInput = VOLATILITY("volatility of the fast, mean-reverting factor")
     long_term_volatility: CaseInput = VOLATILITY("volatility of the whole curve, in parallel")
     seasonal_volatility: CaseInput = VOLATILITY(
         "volatility of the spread between summer and winter"
@@ -35,8 +35,9 @@ class SeasonalTable(CaseTable):
 
 @register
 class ThreeFactorSeasonal(FactorPrices):
-    """Loadings: s_spot (mean reversion a), s_long (none), s_seas(T) = `seasonal_volatility` / 2 x
-    `season`(T) (none). Source: the multi-factor seasonal model of the package cmdty-storage.
+    """Loadings: s_spot (with mean reversion a), s_long and s_seas(T) = `seasonal_volatility` / 2 x
+    `season`(T) (both without mean reversion). Source: the multi-factor seasonal model of the
+    package cmdty-storage.
 
     - `spot_mean_reversion` (1/year), `spot_volatility`, `long_term_volatility`,
       `seasonal_volatility` (1/sqrt(year)): each is one number, index [].
@@ -79,7 +80,8 @@ class ThreeFactorSeasonal(FactorPrices):
 
 
 def season(dates: Sequence[datetime.date], valuation: datetime.date) -> np.ndarray:
-    """cos(2 pi d / 365.25), d = days from 1 February of the valuation year to each date."""
+    """cos(2 pi d / 365.25), where d is the number of days from 1 February of the valuation year to
+    each date."""
     peak = datetime.date(valuation.year, 2, 1)
     days = np.array([(date - peak).days for date in dates], np.float64)
     return np.cos(2 * math.pi * days / 365.25)

@@ -1,8 +1,9 @@
-"""Spot prices of power, a fuel and a certificate of emissions, of which a unit of fuel needs e.
+"""Spot prices of power, a fuel and an emission certificate; a unit of fuel needs e certificates.
 
-The two prices of `pair.py` and a third one of the same kind. A contract's cash depends on power and
-on the cost of fuel with its certificates, G + e c; the certificate has a separate factor, and the
-shocks of all three are correlated. Transitions are exact over any step.
+The two prices of `pair.py`, and a third price of the same kind. The cash of a contract depends on
+the price of power and on the cost of fuel with its certificates, G + e c. The certificate has a
+separate factor, and the shocks of all three are correlated. Transitions are exact for steps of any
+length.
 """
 
 from typing import Any, NamedTuple
@@ -19,14 +20,15 @@ from .process import GaussianFactors, use
 
 
 class FuelRows(NamedTuple):
-    """Fuel and certificates on each date [T + 1]; `share`: certificates for a unit of fuel."""
+    """Fuel and certificates on each date [T + 1]; `share`: the number of certificates for a unit of
+    fuel."""
 
     fuel: SecondRows
     certificate: SecondRows
     share: Array
 
     def expected(self) -> Array:
-        """[T + 1] today's expectation."""
+        """[T + 1] today's expectation of the cost."""
         return self.fuel.forward + self.share * self.certificate.forward
 
     def price(self, factors):
@@ -35,7 +37,8 @@ class FuelRows(NamedTuple):
 
 
 class FuelWithCertificates(NamedTuple):
-    """Their cost as used by dynamic programs: the factors of both are the last two."""
+    """The cost of fuel with certificates, as dynamic programs use it; the factors of the two are
+    the last ones."""
 
     rows: FuelRows
     carry: np.ndarray
@@ -43,13 +46,14 @@ class FuelWithCertificates(NamedTuple):
 
     @property
     def one_factor(self) -> bool:
-        """Whether the price of certificates is certain, so that one factor moves the cost."""
+        """Whether the price of certificates is not random, so that only one factor moves the
+        cost."""
         return not np.any(self.rows.certificate.variance)
 
     def price(self, of: GaussianFactors, t: int, g: np.ndarray) -> np.ndarray:
         """[n] the cost on date t if the factor of fuel has these values [n].
 
-        **Raises:** `ValueError` if it also depends on the factor of certificates.
+        **Raises:** `ValueError` if the cost also depends on the factor of certificates.
         """
         if not self.one_factor:
             raise ValueError("a lattice supports one or two price factors, but prices have 3")
@@ -67,8 +71,9 @@ class FuelWithCertificates(NamedTuple):
 class CommodityTrio(CommodityPair):
     """Three commodities; see the top of this file.
 
-    - `reversions`, `volatilities`: mean reversions and volatilities of all three; `correlation`:
-      the correlations of power and fuel, of power and certificates, of fuel and certificates.
+    - `reversions`, `volatilities`: the mean reversions and volatilities of all three;
+      `correlation`: the correlations of power and fuel, of power and certificates, and of fuel and
+      certificates.
     - `third_curve`: forward prices of certificates, index [T]; `share`: the number of certificates
       per unit of fuel.
     """

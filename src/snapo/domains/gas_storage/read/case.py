@@ -1,4 +1,5 @@
-"""Reads a gas-storage case, a TOML file and its CSVs: `[market]`, plausible numbers."""
+"""Reads a gas-storage case, a TOML file and its CSVs; reads `[market]`, and checks whether numbers
+are plausible."""
 
 import calendar
 import dataclasses
@@ -50,7 +51,7 @@ def read_market(
     moving: np.ndarray,
     unit: str,
 ) -> tuple[GasMarket, QuotedCurve | None]:
-    """The market of a contract that trades on `days` and needs prices on `price_days`, and the
+    """The market of a contract that has flows on `days` and needs prices on `price_days`, and the
     quotes from which its curve is made. `moving`: [T] whether gas can move on the day.
     """
     curve, quoted = _forward(section, table, price_days, unit)
@@ -75,7 +76,7 @@ def _forward(
             raise section.error(
                 "curve",
                 None,
-                "this key is used to make a curve from quotes, but the case has no quotes",
+                "this key is only used to make a curve from quotes, but the case has no quotes",
             )
         return read_curve(section, table.forward_curve, days, unit), None
     assert table.quotes is not None
@@ -91,15 +92,15 @@ def _forward(
 def read_curve(
     section: TableContext, name: str, days: Sequence[datetime.date], unit: str
 ) -> CaseInput:
-    """The forward price of each of `days`, from a CSV of daily and monthly quotes."""
+    """The forward price of each of `days`, from a CSV of quotes for days and months."""
     rows = read_rows(FileReference(section, "forward_curve", name), ("date", "price"))
     by_day, by_month = quotes(rows)
     both = [day for day in days if day in by_day and (day.year, day.month) in by_month]
     if both:
         more = f" and {len(both) - 1} more days have" if len(both) > 1 else " has"
         section.notes.append(
-            f"In {name} {both[0]}{more} a quote of the day and one of the month: that of the day "
-            "is used."
+            f"In {name} {both[0]}{more} a quote for the day and one for the month: the quote for "
+            "the day is used."
         )
     prices = []
     for day in days:
@@ -130,7 +131,8 @@ CurveQuotes = tuple[Mapping[datetime.date, Quote], Mapping[tuple[int, int], Quot
 
 
 def quotes(rows: Sequence[Row]) -> CurveQuotes:
-    """Prices by day and by (year, month), each quoted once; in any order."""
+    """The prices by day and by (year, month), in any order; refuses a period that is quoted
+    twice."""
     by_day: dict[datetime.date, Quote] = {}
     by_month: dict[tuple[int, int], Quote] = {}
     for row in rows:
@@ -144,12 +146,12 @@ def quotes(rows: Sequence[Row]) -> CurveQuotes:
 
 def _once(quotes: dict, period: Any, price: Quote, row: Row) -> None:
     if period in quotes:
-        raise row.error("date", "an earlier row has a price of this period already")
+        raise row.error("date", "an earlier row already has a price for this period")
     quotes[period] = price
 
 
 def _nodes(rate: CaseInput, valuation: datetime.date) -> tuple[CaseInput, np.ndarray]:
-    """The rates of all nodes, and their days since the valuation date."""
+    """The interest rates of all nodes, and the days of the nodes since the valuation date."""
     starts = rate.starts
     days = np.zeros(1, np.int64) if starts is None else starts - valuation.toordinal()
     return replace(rate, index=np.arange(len(rate.values))), days
@@ -163,13 +165,13 @@ APART = 20.0  # a forward price is less than this multiple of its neighbours
 
 
 def unit_slips(case: StorageCase, data: Mapping[str, Any]) -> Iterable[str]:
-    """Notes on numbers that are likely to be in another unit; `data`: the tables of the case."""
+    """Notes on numbers that are probably in another unit; `data`: the tables of the case."""
     ranges = [*_by_price(case), *_by_size(case)]
     return implausible(numbers_of(case), ranges, CaseFiles(case.file, data)).values()
 
 
 def _by_price(case: StorageCase) -> Iterator[Plausible]:
-    """The range of prices, and those of costs per unit of volume."""
+    """The plausible ranges of prices and of costs per unit of volume."""
     unit = ENERGY.get(case.volume_unit, math.nan) / MONEY.get(case.currency, math.nan)
     low, high = (0.0, math.inf) if math.isnan(unit) else (PRICES[0] * unit, PRICES[1] * unit)
     name = f"{case.currency}/{case.volume_unit}"
@@ -188,7 +190,7 @@ def _by_price(case: StorageCase) -> Iterator[Plausible]:
 
 
 def _by_size(case: StorageCase) -> Iterator[Plausible]:
-    """The range of rates, by the volume of the store: from 10,000 days to a tenth of a day."""
+    """The plausible range of rates: the store is filled in 0.1 to 10,000 days."""
     size = float(np.max(case.contract.max_inventory.values, initial=0.0))
     if size > 0:
         hint = f"rates are in {case.volume_unit} per day, and the store holds up to {size:.6g}"
@@ -197,19 +199,20 @@ def _by_size(case: StorageCase) -> Iterator[Plausible]:
 
 
 def end_too_early(start: datetime.date, end: datetime.date) -> str:
-    """The note if `end` is the last day of a period of whole months; otherwise ""."""
+    """A note if `end` is the last day of a period of whole months, which is probably a mistake;
+    otherwise ""."""
     last = calendar.monthrange(end.year, end.month)[1]
     if start.day != 1 or end.day != last or (end - start).days <= 31:
         return ""
     after = end + datetime.timedelta(1)
     return (
         f"contract.end: {end} is the first day without a decision, but it is also the last day "
-        f"of its month: a contract that includes this day has end = {after}."
+        f"of its month. If the contract includes this day, set end = {after}."
     )
 
 
 def free_money(case: StorageCase) -> Iterator[str]:
-    """Remarks if the contract pays for moving gas at any price: often a wrong sign."""
+    """Notes if the contract pays for moving gas at any price, which often means a wrong sign."""
     contract = case.contract
     inward, outward = contract.injection_cost.used(), contract.withdrawal_cost.used()
     if not len(case.days):
@@ -224,9 +227,9 @@ def free_money(case: StorageCase) -> Iterator[str]:
         )
     elif (minimum := float(np.min(inward) + np.min(outward))) < 0:
         yield (
-            "Injecting gas and withdrawing it again earns money at any prices: the lowest "
-            "injection_cost and "
-            f"withdrawal_cost sum to {minimum:g}. Is the sign of the costs right?"
+            "Injecting gas and withdrawing it again earns money at any prices: the sum of the "
+            f"lowest injection_cost and the lowest withdrawal_cost is {minimum:g}. Is the sign of "
+            "the costs right?"
         )
 
 
@@ -247,9 +250,9 @@ FORMATS = {
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
-    """The case in the TOML file `file`, whose tables `data` were read already.
+    """The case in the TOML file `file`; `data`: the tables of this file.
 
-    Other files are looked for next to it.
+    Other files are read from its folder.
 
     **Raises:** `CaseError` if a table, a file or a number is wrong, or if the contract cannot be
     met; nothing is written.
@@ -313,7 +316,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
 def _parse_both(
     top: StorageTable, file: str, notes: list[str]
 ) -> tuple[ContractTable, MarketTable]:
-    """Both tables, with the mistakes of both in one message."""
+    """Reads both tables, and reports the mistakes of both in one message."""
     mistakes: list[CaseError] = []
     tables = []
     for table, data, name in (

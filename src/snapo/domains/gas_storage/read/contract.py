@@ -42,8 +42,9 @@ def payment_days(
 ) -> np.ndarray:
     """[T] integer days since `valuation` on which the flow of each of `days` is paid.
 
-    - `moving`: [T] whether gas can move on the day; a month without such days needs no row.
-    - `gas`: [T] the days on which the gas itself is paid, to which the rule "gas" of a cost refers.
+    - `moving`: [T] whether gas can move on the day; a month without such days needs no row in a
+      file.
+    - `gas`: [T] the days on which the gas is paid; the rule "gas" of a cost refers to them.
     """
     if rule == "gas" and gas is not None:
         return gas
@@ -71,8 +72,8 @@ def payment_days(
 
 
 def months_after(day: datetime.date, months: int, day_of_month: int) -> datetime.date:
-    """The same day of the month `months` after the month of `day`; the last one of a short
-    month."""
+    """The day `day_of_month` in the month that is `months` after the month of `day`; the last day
+    of a shorter month."""
     count = day.year * 12 + day.month - 1 + months
     year, month = count // 12, count % 12 + 1
     last = calendar.monthrange(year, month)[1]
@@ -92,18 +93,18 @@ def _from_file(section, key, name: str, days, moving, is_cost: bool) -> list[dat
     for row in rows:
         month = row.month("delivery_month")
         if month in paid:
-            raise row.error("delivery_month", "this month has a row already")
+            raise row.error("delivery_month", "this month already has a row")
         paid[month] = row.day("date")
     for day in (day for day, moves in zip(days, moving, strict=True) if moves):
         if (day.year, day.month) not in paid:
-            message = "there is no payment date for this month, in which gas can move; add a row"
+            message = "there is no payment date for this month, in which gas can flow; add a row"
             raise CaseError(name, f"{day:%Y-%m}", None, message)
     return [paid.get((day.year, day.month), day) for day in days]
 
 
-AMOUNT = Quantity(group="cost", column="amount", meaning="amounts owed in any case")
-LEVEL = replace(STOCK, column="inventory", meaning="rows with the value of the remaining gas")
-LEFT = Quantity(group=GROUP, meaning="rows with the value of the remaining gas")
+AMOUNT = Quantity(group="cost", column="amount", meaning="amounts that are due whatever is decided")
+LEVEL = replace(STOCK, column="inventory", meaning="inventories with a value of the remaining gas")
+LEFT = Quantity(group=GROUP, meaning="values of the remaining gas, by inventory")
 SPOT_SHARE = replace(
     POINTS,
     plausible=OF_SPOT,
@@ -119,7 +120,7 @@ def decision_days(table: ContractTable, valuation: datetime.date) -> tuple[datet
 
 
 def pays_by_price(table: ContractTable) -> bool:
-    """Whether gas left on the end date has a value at that day's price."""
+    """Whether the value of gas left on the end date depends on the price of that day."""
     value = table.end_value
     return table.end_inventory == "free" and isinstance(value, float | int) and value != 0
 
@@ -132,7 +133,7 @@ def read_contract(
     limits: LimitRows,
     gas_day: np.ndarray,
 ) -> Contract:
-    """The contract on its decision days [T], and for limits also on the end date."""
+    """The contract on its decision days [T]; its limits also on the end date."""
 
     def daily(numbers: CaseInput) -> CaseInput:
         return numbers.on(days, section.notes)
@@ -166,7 +167,8 @@ def read_contract(
 
 
 def _stock(level: CaseInput, limits: LimitRows) -> CaseInput:
-    """An inventory; one of zero moves by more than the minimum inventory, and stays above it."""
+    """An inventory. If it is zero, a finite difference moves it by more than the minimum inventory,
+    so that it stays above this."""
     return replace(level, move=2 * small_move(limits.ratchets))
 
 
@@ -184,7 +186,8 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
     if before:
         section.notes.append(
             f"{table.fixed_costs}, line {before[0].line}: the amount of {before[0].day('date')} is "
-            f"due before the valuation date, {valuation}{more(len(before) - 1)}: it is ignored."
+            f"due before the valuation date, {valuation}{more(len(before) - 1)}: such amounts are "
+            "ignored."
         )
     labels = [date.isoformat() for date in dates]
     return amount.from_rows("fixed_costs", rows, labels, index=due), when[due]
@@ -193,7 +196,7 @@ def _read_fixed_costs(section, table: ContractTable, valuation) -> tuple[CaseInp
 def _read_end(section: TableContext, table: ContractTable, limits: LimitRows) -> EndRule:
     if table.end_inventory != "free":
         if table.end_value not in (None, 0.0):
-            message = 'a value of the remaining gas needs end_inventory = "free"'
+            message = 'the remaining gas can have a value only with end_inventory = "free"'
             raise section.error("end_value", table.end_value, message)
         stock = replace(STOCK, unit=table.volume_unit, meaning="gas owed at the end")
         position = (*section.keys, "end_inventory")

@@ -37,7 +37,8 @@ def read_ratchets(
     minimum: np.ndarray,
     maximum: np.ndarray,
 ) -> Ratchets:
-    """The rates of `days` [T]; `minimum`, `maximum`: the inventory limits that rows must span."""
+    """The rates on `days` [T]; `minimum`, `maximum`: the inventory limits that the rows must
+    span."""
     plain = [key for key in ("max_injection", "max_withdrawal") if getattr(table, key) is not None]
     if table.ratchets is None:
         return _plain_rates(section, table, plain, days)
@@ -74,7 +75,8 @@ def _plain_rates(section, table: ContractTable, plain, days) -> Ratchets:
 
 
 def small_move(ratchets: Ratchets) -> float:
-    """A power of ten, at most a thousandth of the largest daily rate: the move of a zero limit."""
+    """The move of a limit that is zero in a finite difference: a power of ten, at most a thousandth
+    of the largest daily rate."""
     rates = (ratchets.injection.used(), ratchets.withdrawal.used())
     largest = max(float(np.max(rate, initial=0.0)) for rate in rates)
     return 10.0 ** math.floor(math.log10(1e-3 * largest)) if largest > 0 else 1e-3
@@ -84,7 +86,8 @@ RatchetBlock = tuple[datetime.date, list[int]]
 
 
 def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
-    """Groups rows by date: each block with its date and its row numbers, inventories rising.
+    """Groups rows by date into blocks, each with its date and its row numbers, in which inventories
+    rise.
 
     A row continues the block if its date is empty or repeated.
     """
@@ -100,7 +103,7 @@ def read_blocks(rows: Sequence[Row]) -> list[RatchetBlock]:
             blocks[-1][1].append(number)
         elif blocks and date < blocks[-1][0]:
             message = (
-                f"blocks must be in order of date, but the previous one is dated {blocks[-1][0]}"
+                f"blocks must be in order of date, but the previous block begins on {blocks[-1][0]}"
             )
             raise row.error("date", message)
         else:
@@ -116,12 +119,14 @@ def _check_rises(before: Row, row: Row) -> None:
 
 
 def _rows_by_day(name: str, blocks: Sequence[RatchetBlock], days) -> np.ndarray:
-    """[T, K] row numbers of the block of each day; short blocks repeat their last row."""
+    """[T, K] the row numbers of the block of each day; shorter blocks repeat their last row."""
     maximum = max(len(numbers) for _, numbers in blocks)
     padded = np.array([numbers + numbers[-1:] * (maximum - len(numbers)) for _, numbers in blocks])
     starts = ordinals([date for date, _ in blocks])
     if days and blocks[0][0] > days[0]:
-        message = f"ratchets are needed from {days[0]} on, but the first block applies from then"
+        message = (
+            f"ratchets are needed from {days[0]} on, but the first block begins on this later date"
+        )
         raise CaseError(name, "date", blocks[0][0], message)
     return padded[np.searchsorted(starts, ordinals(days), side="right") - 1]
 
@@ -145,7 +150,8 @@ def _ratchets(rows, blocks, index: np.ndarray, table: ContractTable) -> Ratchets
 
 
 def _check_span(table: ContractTable, ratchets: Ratchets, days, minimum, maximum) -> None:
-    """Every inventory within the limits of a day needs rates: no extrapolation."""
+    """Refuses ratchets without rates for an inventory within the limits of a day: rates are not
+    extrapolated."""
     levels = ratchets.inventory.used()
     low, high = levels[:, 0], levels[:, -1]
     linear = ratchets.interpolation == "linear"
@@ -164,7 +170,7 @@ def _check_span(table: ContractTable, ratchets: Ratchets, days, minimum, maximum
 
 @dataclass(frozen=True, eq=False)
 class LimitRows:
-    """The fields of `Contract` with the same names."""
+    """The limits of flows and inventories: the fields of `Contract` with the same names."""
 
     min_inventory: CaseInput
     max_inventory: CaseInput
@@ -173,7 +179,7 @@ class LimitRows:
     withdrawal_factor: np.ndarray
 
     def moving(self) -> np.ndarray:
-        """[T] whether gas can move on the day at any inventory."""
+        """[T] whether gas can flow on the day at any inventory."""
         injection = self.ratchets.injection.used().max(axis=1) * self.injection_factor
         withdrawal = self.ratchets.withdrawal.used().max(axis=1) * self.withdrawal_factor
         return (injection > 0) | (withdrawal > 0)
@@ -182,7 +188,7 @@ class LimitRows:
 def read_limits(
     section: TableContext, table: ContractTable, days: Sequence[datetime.date]
 ) -> LimitRows:
-    """The limits on the decision days [T], those of inventory also on the end date."""
+    """The limits on the decision days [T]; the inventory limits also on the end date."""
     dates = (*days, table.end)
     minimum = table.min_inventory.on(dates, section.notes)
     maximum = table.max_inventory.on(dates, section.notes)
@@ -200,14 +206,15 @@ def _check_limits(section: TableContext, dates, minimum: CaseInput, maximum: Cas
     crossed = np.flatnonzero(minimum.used() > maximum.used())
     if len(crossed):
         t = crossed[0]
-        message = f"on {dates[t]} it lies above max_inventory, {maximum.used()[t]:g}"
+        message = f"on {dates[t]} it is above max_inventory, {maximum.used()[t]:g}"
         raise section.error("min_inventory", minimum.used()[t], message)
 
 
 def read_outages(
     section: TableContext, table: ContractTable, days: Sequence[datetime.date]
 ) -> tuple[np.ndarray, np.ndarray]:
-    """[T] shares of the injection and the withdrawal rates left by outages; the smallest counts."""
+    """[T] the shares of the injection and of the withdrawal rates that outages leave; on a day with
+    several outages the smallest share applies."""
     factors = np.ones((2, len(days)))
     day_numbers = ordinals(days)
     outages = _outages(section, table.outages)
@@ -220,11 +227,11 @@ def read_outages(
 
 
 def _note_outages(section: TableContext, table: ContractTable, outages: "list[Outage]") -> None:
-    """Remarks on outages that change nothing, and on days that have several."""
+    """Notes on outages that change nothing, and on days with several outages."""
     for first, last, *_ in outages:
         if last < table.start or first >= table.end:
             section.notes.append(
-                f"The outage {first} to {last} lies outside of the contract, {table.start} to "
+                f"The outage {first} to {last} is outside of the contract, {table.start} to "
                 f"{table.end}, and changes nothing."
             )
     rising = sorted(outages)
@@ -232,7 +239,7 @@ def _note_outages(section: TableContext, table: ContractTable, outages: "list[Ou
         if after[0] <= before[1]:
             section.notes.append(
                 f"The outages {before[0]} to {before[1]} and {after[0]} to {after[1]} overlap; on "
-                "each day the smaller factor counts."
+                "each day the smaller factor applies."
             )
 
 
@@ -246,7 +253,7 @@ def _outages(section: TableContext, values: list[str] | str) -> list[Outage]:
         for row in read_rows(FileReference(section, "outages", values), columns):
             first, last = row.day("from"), row.day("to")
             if last < first:
-                raise row.error("to", f"its last day cannot lie before its first, {first}")
+                raise row.error("to", f"the last day must not be before the first day, {first}")
             rows.append((first, last, *(row.number(column, 0.0, 1.0) for column in columns[2:])))
         return rows
     rows = []
@@ -254,10 +261,12 @@ def _outages(section: TableContext, values: list[str] | str) -> list[Outage]:
         try:
             first, last = map(_day, text.split("/"))
         except ValueError:
-            message = 'an outage must be written "2021-07-01/2021-07-14", first day and last day'
+            message = (
+                'an outage must be written like "2021-07-01/2021-07-14": first day and last day'
+            )
             raise section.error("outages", text, message) from None
         if last < first:
-            raise section.error("outages", text, "the last day cannot be before the first")
+            raise section.error("outages", text, "the last day must not be before the first day")
         rows.append((first, last, 0.0, 0.0))
     return rows
 

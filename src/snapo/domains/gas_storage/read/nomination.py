@@ -1,4 +1,4 @@
-"""Nominations: a flow is fixed some days before its date, when its price is a forward price."""
+"""Nominations: a flow is fixed some days before its date, at a forward price."""
 
 import datetime
 from collections.abc import Sequence
@@ -15,26 +15,28 @@ from .tables import DateKey
 class NominationTable(CaseTable):
     """{ days = 1, calendar = "business" }: a flow is fixed this number of days before its date.
 
-    One business day before, the flows of a weekend and of Monday are fixed on Friday; `holidays`
-    are not business days.
+    With one business day, the flows of a weekend and of Monday are fixed on Friday; `holidays` are
+    not business days.
     """
 
     days: Annotated[int, Range(1, 60)] = doc("days from the nomination of a flow to its date", 1)
-    calendar: Literal["every-day", "business"] = doc("days that count in `days`", "every-day")
+    calendar: Literal["every-day", "business"] = doc(
+        "the kind of days that are counted", "every-day"
+    )
     holidays: list[DateKey] = doc("days without business", [], "a list of dates like [2026-12-25]")
 
 
 def nominated_on(
     where: TableContext, table: Any, dates: Sequence[datetime.date]
 ) -> tuple[datetime.date, ...] | None:
-    """[n] the day on which the flow of each date is fixed; None without `nomination` in the table
-    `[contract]`, here `table`."""
+    """[n] the day on which the flow of each date is fixed; None if `table`, the table `[contract]`,
+    has no `nomination`."""
     if table.nomination is None:
         return None
     nomination = where.nested(NominationTable, table.nomination, "nomination")
     where.notes.append(
-        "contract.nomination: flows are fixed days in advance. Prices and cash flows of paths "
-        "are those at the nominations, and vary less than those on the days of the flows."
+        "contract.nomination: flows are fixed days in advance. The paths have the prices and cash "
+        "flows at the nominations, which vary less than those on the days of the flows."
     )
     if nomination.calendar == "every-day":
         return tuple(date - datetime.timedelta(nomination.days) for date in dates)
@@ -55,5 +57,5 @@ def check_nomination(where: TableContext, table: Any, objective: str, products: 
         )
         raise where.error("nomination", None, message)
     if products is not None:
-        message = "[products] are traded on the days of the flows; leave one of the two out"
+        message = "[products] are traded on the days of the flows; leave out one of the two"
         raise where.error("nomination", None, message)

@@ -1,6 +1,6 @@
 """The tables of a gas-storage case, each number declared once, with unit, range and meaning.
 
-The description of a key is the text of allowed values in an error message.
+The description of a key is the text on the allowed values in an error message.
 """
 
 import datetime
@@ -33,7 +33,7 @@ def _plain_day(value: Any) -> Any:
 DATE = "a date from 1900 to 2200, YYYY-MM-DD"
 DateKey = Annotated[datetime.date, pydantic.BeforeValidator(_plain_day), Field(description=DATE)]
 ValuationDay = Annotated[
-    DateKey, Field(title="day of today's prices, to which payments are discounted")
+    DateKey, Field(title="date of today's prices, to which payments are discounted")
 ]
 VolumeUnit = Annotated[Nonempty, doc("unit of all volumes", "MWh", 'a name such as "MWh"')]
 Currency = Annotated[Nonempty, doc("currency of all money", "EUR", 'a name such as "EUR"')]
@@ -53,12 +53,12 @@ RULES = (
 
 
 PRICE, FLOW, GROUP = "{currency}/{volume_unit}", "{volume_unit}/day", "contract"
-OF_VOLUME = Plausible(0.0, 0.2, "it is a share of the volume, 0.015 is 1.5 %")
-OF_STOCK = Plausible(0.0, 0.01, "it is a share of the gas in store per day, 0.0001 is 3.6 % a year")
+OF_VOLUME = Plausible(0.0, 0.2, "it is a share of the volume; 0.015 is 1.5 %")
+OF_STOCK = Plausible(0.0, 0.01, "it is a share of the gas in store per day; 0.0001 is 3.6 % a year")
 OF_SPOT = Plausible(
     0.0,
     1.5,
-    "it is a share of the spot price, 0.9 is 90 % of it; a value in money is a CSV inventory,value",
+    "it is a share of the spot price; 0.9 is 90 %. A value in money needs a CSV inventory,value",
 )
 POINTS = Quantity(
     "1", group="cost", move=1e-3, display_unit="percentage point", display_factor=100.0
@@ -95,13 +95,14 @@ class AfterDays(CaseTable):
 
 
 class OnDate(CaseTable):
-    """{ date = 2019-10-20 }: everything on one date."""
+    """{ date = 2019-10-20 }: everything is paid on one date."""
 
     date: DateKey = doc("day on which everything is paid")
 
 
 class MonthsAfter(CaseTable):
-    """{ months = 1, day = 20 }: that day, this number of months after the month of delivery."""
+    """{ months = 1, day = 20 }: this day of the month, this number of months after the month of
+    delivery."""
 
     months: Annotated[int, Range(0, 1200)] = doc("months from delivery to payment")
     day: Annotated[int, Range(1, 31)] = doc("day of the month of the payment")
@@ -128,17 +129,18 @@ class ContractTable(CaseTable):
         "a CSV file with columns date,inventory,max_withdrawal,max_injection",
     )  # fmt: skip
     ratchet_interpolation: Literal["linear", "step"] = doc(
-        "whether rates between two ratchet rows are linear, or those of the row below", "linear"
+        "whether rates between two ratchet rows are interpolated, or those of the lower row",
+        "linear",
     )
     min_injection: CaseInput = FORCED("injection that must flow", 0.0)
     min_withdrawal: CaseInput = FORCED("withdrawal that must flow", 0.0)
     injection_cost: CaseInput = COST("cost per unit injected", 0.0)
     withdrawal_cost: CaseInput = COST("cost per unit withdrawn", 0.0)
     injection_cost_settlement: CostSettlement = doc(
-        "when costs of injection are paid", "flow", f'"gas", {RULES}'
+        "when injection costs are paid", "flow", f'"gas", {RULES}'
     )
     withdrawal_cost_settlement: CostSettlement = doc(
-        "when costs of withdrawal are paid", "flow", f'"gas", {RULES}'
+        "when withdrawal costs are paid", "flow", f'"gas", {RULES}'
     )
     fixed_costs: Nonempty | None = doc(
         "amounts that are due whatever is decided, in currency",
@@ -158,16 +160,16 @@ class ContractTable(CaseTable):
         "gas that must be in store at the end, in volume_unit", 0.0
     )
     end_value: NotNegative | Annotated[Nonempty, Field(description=END_VALUES)] | None = doc(
-        "value of gas left at the end: a share of the spot price, or currency by inventory", None
+        "value of gas left at the end: a share of the spot price, or money by inventory", None
     )
     outages: list[str] | Nonempty = doc(
-        "days without flow, first and last day included; or a file with the shares of the rates "
-        "that remain", [],
+        "days without flow, including the first and the last day; or a file with the shares of the "
+        "rates that remain", [],
         'a list like ["2021-07-01/2021-07-14"], or a CSV file with columns '
         "from,to,injection_factor,withdrawal_factor",
     )  # fmt: skip
     first_decision: Literal["valuation-date", "next-day"] = doc(
-        "first day whose flow is decided; tomorrow, if the flow of today is nominated already",
+        "first day whose flow is decided: tomorrow if the flow of today is already nominated",
         "valuation-date",
     )
     nomination: NominationKey
@@ -182,11 +184,13 @@ class MarketTable(CaseTable):
         "a CSV file with columns date,price; or quotes",
     )  # fmt: skip
     quotes: Nonempty | None = doc(
-        "prices of traded products that make the forward curve, in currency/volume_unit",
+        "prices of traded products from which the forward curve is made, in currency/volume_unit",
         None,
         "a CSV file with columns product,price",
     )
-    curve: QuotedCurveTable | None = doc("daily forward curve from the quotes", None, CURVE)
+    curve: QuotedCurveTable | None = doc(
+        "how the daily forward curve is made from the quotes", None, CURVE
+    )
     interest_rate: CaseInput = ZERO_RATE("continuous zero rate", 0.0)
     settlement: Settlement = doc("when the gas of a day is paid", "flow", RULES)
 
@@ -203,7 +207,7 @@ class StorageTable(CaseTable):
         "traded products, for rolling intrinsic values and hedges", "products", None
     )
     hedge: dict | None = subtable("hedges that are simulated", "hedge", None)
-    backtest: dict | None = subtable("estimates of a back-test", "backtest", None)
+    backtest: dict | None = subtable("estimates of the model in a back-test", "backtest", None)
     report: ReportKey
     objective: ObjectiveKey
     training: TrainingKey

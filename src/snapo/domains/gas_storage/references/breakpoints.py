@@ -1,9 +1,10 @@
 """Inventories at which the value of a store with constant rates can bend: exact nodes.
 
-The best flow of a day is the smallest, the largest or none, or it ends where the value after the
-day bends. With rates that do not depend on the inventory, and no losses, the value at its start
-bends only where one of these three flows ends at a bend after it. Backwards from the end date, that
-gives every breakpoint. Values that are linear between them remain linear for all prices.
+The best flow of a day is the smallest flow, the largest flow or no flow, or it ends at an inventory
+at which the value after the day bends. If rates do not depend on the inventory and there are no
+losses, the value at the start of the day bends only at inventories from which one of these three
+flows ends at such a bend. Backwards from the end date, every breakpoint is computed in this way.
+Values that are linear between them remain linear for all prices.
 """
 
 import numpy as np
@@ -21,7 +22,9 @@ def breakpoints(
     high: np.ndarray,
     maximum: int = MAXIMUM,
 ) -> list[np.ndarray] | None:
-    """[T + 1] rising inventories of each day and of the end date, with both ends of each interval.
+    """[T + 1] the rising inventories of each day and of the end date, with both ends of the
+    interval of each.
+
     `low`, `high`: [T + 1] the ends of these intervals, see `piecewise.visited`. None if rates
     depend on the inventory, if gas is lost, or if a day has more than `maximum` inventories.
     """
@@ -43,7 +46,7 @@ def breakpoints(
 
 
 def _within(points: np.ndarray, low: float, high: float, near: float) -> np.ndarray:
-    """The interval's ends and the points between them, once each."""
+    """The ends of the interval and the points between them, without duplicates."""
     if high - low <= near:
         return np.array([low])
     inside = np.sort(points[(points > low + near) & (points < high - near)])

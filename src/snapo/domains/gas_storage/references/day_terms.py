@@ -1,7 +1,7 @@
-"""One decision day seen by a dynamic program: feasible volumes and their cost.
+"""One decision day for dynamic programs: feasible volumes and their cost.
 
 Everything here is plain NumPy in float64 and reads the prepared schedule with NumPy leaves. All
-money is a present value on the valuation date, all volumes are in the contract's unit. Columns
+money is a present value on the valuation date, all volumes are in the unit of the contract. Columns
 (the last axis) are nodes of the price factors, or price paths.
 """
 
@@ -16,7 +16,8 @@ POINT = 1e-9
 
 
 class DayRates(NamedTuple):
-    """Daily rate limits of one day, linear between rising inventory levels, flat outside. [K]"""
+    """The rate limits of one day: linear between rising inventory levels, and constant outside
+    them. [K]"""
 
     levels: np.ndarray
     withdrawal: np.ndarray
@@ -24,10 +25,11 @@ class DayRates(NamedTuple):
 
 
 class FlowChoices(NamedTuple):
-    """Inventories at the end of the day that each inventory at its start can reach. [n]
+    """The inventories at the end of the day that can be reached from each inventory at its start.
+    [n]
 
     `keep` is the inventory without any flow (after losses), `down` and `up` the smallest and the
-    largest that the contract allows, `hold` the allowed one nearest to `keep`.
+    largest inventory that the contract allows, and `hold` the allowed inventory nearest to `keep`.
     """
 
     keep: np.ndarray
@@ -37,24 +39,24 @@ class FlowChoices(NamedTuple):
 
 
 class UnitPrices(NamedTuple):
-    """Present value that one unit injected costs, and that one unit withdrawn earns. [columns]"""
+    """The present value that a unit injected costs, and that a unit withdrawn earns. [columns]"""
 
     pay: np.ndarray
     earn: np.ndarray
 
 
 def volume_scale(schedule) -> float:
-    """The largest inventory that any day allows: the unit of volume tolerances."""
+    """The largest inventory that any day allows, as the scale of tolerances on volumes."""
     steps = schedule.steps
     return float(max(np.max(steps.high, initial=0.0), np.max(steps.next_high, initial=0.0), 1e-300))
 
 
 def rates(schedule, interpolation: Interpolation, t: int) -> DayRates:
-    """The day's ratchets as continuous piecewise-linear functions of the inventory.
+    """The ratchets of a day as continuous piecewise-linear functions of the inventory.
 
     With step ratchets (the row at or below the inventory applies) a jump at a level becomes a ramp
-    that ends at the level and is 1e-9 of the largest inventory wide: a dynamic program then needs
-    one kind of function only, and can gain at most that volume from it.
+    that ends at the level, with a width of 1e-9 of the largest inventory. A dynamic program then
+    needs only one kind of function, and can gain at most that volume from the ramp.
     """
     steps = schedule.steps
     levels, first = np.unique(steps.levels[t], return_index=True)
@@ -72,7 +74,7 @@ def flow_ends(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(keep, down, up): inventories [n] after losses, and after the smallest and largest flow.
 
-    Only rates and forced flows apply; the limits of the next day are ignored.
+    Only the rates and the forced flows apply; the inventory limits of the next day are ignored.
     """
     steps = schedule.steps
     keep = inventory * (1 - steps.inventory_loss[t])
@@ -84,7 +86,8 @@ def flow_ends(
 
 
 def moves(schedule, day_rates: DayRates, t: int, inventory: np.ndarray) -> FlowChoices:
-    """The inventories that can be reached at the end of day t from those at its start [n].
+    """The inventories that can be reached at the end of day t from the inventories at its start
+    [n].
 
     Source: rates are read at the start of the day; end = start (1 - loss) + in - out.
     """
@@ -97,7 +100,8 @@ def moves(schedule, day_rates: DayRates, t: int, inventory: np.ndarray) -> FlowC
 
 
 def unit_prices(schedule, t: int, spot: np.ndarray) -> UnitPrices:
-    """A withdrawal earns q (1 - fuel) S, an injection pays q (1 + fuel) S; both pay their cost."""
+    """The unit prices: a withdrawal of q earns q (1 - fuel) S, an injection of q pays q (1 + fuel)
+    S, and both pay their cost."""
     steps = schedule.steps
     gas = spot * steps.gas_discount[t]
     pay = gas * (1 + steps.injection_fuel[t])
@@ -109,16 +113,17 @@ def unit_prices(schedule, t: int, spot: np.ndarray) -> UnitPrices:
 
 
 def holding_cost(schedule, t: int, inventory: np.ndarray) -> np.ndarray:
-    """Present value of keeping the inventory [n] at the start of day t for that day. [n]"""
+    """The present value of the cost of keeping the inventory [n] at the start of day t for that
+    day. [n]"""
     steps = schedule.steps
     return steps.inventory_cost[t] * steps.flow_discount[t] * inventory
 
 
 def end_value(schedule, inventory: np.ndarray, spot) -> np.ndarray:
-    """Present value of the gas left on the end date, at that day's spot price.
+    """The present value of the gas left on the end date, at the spot price of that day.
 
-    `inventory` and `spot` are broadcast against each other; both parts of the contract's rule are
-    paid on the end date.
+    `inventory` and `spot` are broadcast against each other. Both parts of the rule of the contract
+    are paid on the end date.
     """
     constants = schedule.constants
     levels, first = np.unique(constants.end_levels, return_index=True)
@@ -127,6 +132,6 @@ def end_value(schedule, inventory: np.ndarray, spot) -> np.ndarray:
 
 
 def cash(prices: UnitPrices, net: np.ndarray) -> np.ndarray:
-    """Present value earned by net injections [n] (withdrawals negative). [n, columns]"""
+    """The present value that net injections [n] earn (withdrawals are negative). [n, columns]"""
     injected, withdrawn = np.maximum(net, 0.0), np.maximum(-net, 0.0)
     return withdrawn[:, None] * prices.earn - injected[:, None] * prices.pay

@@ -1,4 +1,4 @@
-"""The intrinsic value: the best plan of trades against today's forward curve, without any noise."""
+"""The intrinsic value: the best plan of trades at today's forward curve, without noise."""
 
 from typing import NamedTuple
 
@@ -11,8 +11,8 @@ from .piecewise import PiecewiseLine, best_move, day_value, visited
 class IntrinsicPlan(NamedTuple):
     """A plan of trades, fixed today.
 
-    - `value`: present value on the valuation date, in the contract's currency.
-    - `net`: net volume put into store on each day, withdrawals negative, [T].
+    - `value`: present value on the valuation date, in the currency of the contract.
+    - `net`: net volume injected on each day, negative for withdrawals, [T].
     - `inventory`: gas in store at the start of each day, and on the end date, [T + 1].
     """
 
@@ -24,9 +24,9 @@ class IntrinsicPlan(NamedTuple):
 def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
     """The exact intrinsic value with free volumes, by piecewise-linear dynamic programming.
 
-    It is exact to rounding for every contract, with linear or step ratchets of any shape and any
-    value at the end. It needs no grid, see `piecewise`. For concave contracts it is tested against
-    a linear program.
+    It is exact up to rounding for every contract: with linear or step ratchets of any shape, and
+    any value at the end. It needs no grid, see `piecewise`. For concave contracts it is tested
+    against a linear program.
     """
     low, high = visited(schedule, interpolation)
     after = values_after(schedule, interpolation, low, high)
@@ -39,7 +39,7 @@ def intrinsic(schedule, interpolation: Interpolation) -> IntrinsicPlan:
 
 
 def values_after(schedule, interpolation: Interpolation, low, high) -> list[PiecewiseLine]:
-    """The value of gas at the END of each day, when all prices are today's forward prices.
+    """The value of gas at the END of each day, if all prices are today's forward prices.
 
     The values are present values, exact on [low[t + 1], high[t + 1]] of the T + 1 supplied
     intervals.
@@ -55,7 +55,7 @@ def values_after(schedule, interpolation: Interpolation, low, high) -> list[Piec
 
 
 def forward_prices(schedule, t: int) -> UnitPrices:
-    """Cost and proceeds of a unit on day t at the forward price."""
+    """The cost and the proceeds of a unit on day t at the forward price."""
     return unit_prices(schedule, t, schedule.steps.forward[t])
 
 
@@ -68,7 +68,8 @@ def _end_line(schedule, low: float, high: float) -> PiecewiseLine:
 
 
 def plan(schedule, inventory: np.ndarray) -> IntrinsicPlan:
-    """Prices a plan [T + 1] at the forward curve: value and net volumes follow from the stock."""
+    """The value and the net volumes of a plan at the forward curve; the plan is the inventories [T
+    + 1]."""
     steps = schedule.steps
     net = inventory[1:] - inventory[:-1] * (1 - steps.inventory_loss)
     value = end_value(schedule, inventory[-1:], schedule.constants.end_forward)[0]

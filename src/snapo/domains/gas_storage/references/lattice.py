@@ -1,9 +1,9 @@
 """Dynamic programming in time, inventory and one or two price factors.
 
-Each day has a grid of inventories: the multiples of one spacing that the starting inventory can
-lead to, with both ends of the interval and the ratchet levels. Values are linear in the inventory
-between them and decisions are feasible to rounding, so that for a concave contract this grid can
-only lower the result. `marginal` describes how the factors are integrated.
+Each day has a grid of inventories: the multiples of one spacing that can be reached from the
+initial inventory, with both ends of the interval and the ratchet levels. Values are linear in the
+inventory between nodes, and decisions are feasible up to rounding. For a concave contract the grid
+can therefore only lower the result. `marginal` describes how the factors are integrated.
 """
 
 from collections.abc import Callable
@@ -22,7 +22,7 @@ from .piecewise import visited
 
 
 class ExpectedPath(NamedTuple):
-    """The expected path of the decisions of a lattice; see `LatticeResult`."""
+    """The expected path under the decisions of a lattice; see `LatticeResult`."""
 
     deltas: np.ndarray
     end_delta: float
@@ -32,15 +32,15 @@ class ExpectedPath(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class LatticeResult:
-    """Result of the dynamic program. Money is a present value on the valuation date.
+    """The result of the dynamic program. Money is a present value on the valuation date.
 
     - `value`: the value of the contract, before fixed costs.
     - `selected`: indices of the price factors on the grid, the fast factor first; `dropped`: the
       indices of the others.
-    - `follow`: the forward sweep, which is done once, when one of the following attributes is read.
-    - `deltas`: [T] derivative of the value with respect to each day's forward price, in discounted
-      volume (positive: gas sold), by the envelope theorem; `end_delta`: the derivative with respect
-      to the price of the end date.
+    - `follow`: the forward sweep; it runs once, when one of the following attributes is first read.
+    - `deltas`: [T] the derivative of the value with respect to the forward price of each day, as a
+      discounted volume (positive for gas sold), by the envelope theorem; `end_delta`: the
+      derivative with respect to the price of the end date.
     - `net`: [T] expected net injection; `inventory`: [T + 1] expected inventory.
     """
 
@@ -92,20 +92,20 @@ def lattice(
     - `inventories`: the number of grid points from 0 to the largest inventory; or `step`, the
       volume between them; or `nodes`, [T + 1] the inventories of each day and of the end date, see
       `breakpoints`.
-    - `spacing`: the spacing of the fast factor's nodes, in standard deviations of its daily shock;
-      by default 0.15 for one factor, 0.3 for two. The error falls with its square; deltas need a
-      finer grid than values.
-    - `slow_nodes`: nodes of the second factor.
+    - `spacing`: the spacing of the nodes of the fast factor, in standard deviations of its daily
+      shock; by default 0.15 for one factor and 0.3 for two. The error falls with its square; deltas
+      need a finer grid than values.
+    - `slow_nodes`: the number of nodes of the second factor.
     - `volumes`: "extremes" allows the largest injection, the largest withdrawal and the flow
-      nearest to zero of each day. "free" also allows a flow up to the inventory at which more gas
-      has a value below its price. "every" allows flows to every grid point, and so does "free"
+      nearest to zero of each day. "free" also allows flows up to the inventory at which the value
+      of more gas falls below its price. "every" allows flows to every grid point, as does "free"
       with step ratchets.
     """
     every = range(factors.loading.shape[1])
     selected = relevant_factors(schedule, factors) if keep is None else tuple(keep)
     if not 1 <= len(selected) <= 2:
-        message = f"a lattice supports one or two price factors, and {selected} would be kept"
-        raise ValueError(f"lattice: {message}; name the two to keep (`keep`).")
+        message = f"a lattice supports one or two price factors, but {selected} are relevant"
+        raise ValueError(f"lattice: {message}; name one or two factors in `keep`.")
     dropped = tuple(i for i in every if i not in selected)
     if len(schedule.steps.forward) == 0:
         return _at_the_end(schedule, selected, dropped)
@@ -121,7 +121,7 @@ def lattice(
 
 
 def _at_the_end(schedule, selected, dropped) -> LatticeResult:
-    """No decision left: the value of the gas in store."""
+    """The result if no decision is left: the value of the gas in store."""
     constants = schedule.constants
     stock = np.array([constants.inventory])
     value = float(end_value(schedule, stock, constants.end_forward)[0])
@@ -133,11 +133,11 @@ def _at_the_end(schedule, selected, dropped) -> LatticeResult:
 def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
     """The factors that move the value, the fastest first.
 
-    A non-reverting factor with the same loading on all days, independent of the others, scales all
-    prices in proportion, if they are proportional to the curve; Without fixed or proportional
-    costs such a factor leaves the value unchanged (a change of numeraire), and with small costs
-    almost unchanged; a fixed payment for the gas left counts as a cost. It is dropped unless it is
-    the only factor.
+    If prices are proportional to the curve, a factor without mean reversion that has the same
+    loading on all days, and is independent of the others, scales all prices in proportion. Without
+    fixed or proportional costs such a factor does not change the value (a change of numeraire), and
+    with small costs it hardly does; a fixed payment for the gas left counts as a cost. The factor
+    is dropped unless it is the only one.
     """
     if len(schedule.steps.forward) == 0:
         return (0,)
@@ -156,12 +156,13 @@ def relevant_factors(schedule, factors: GaussianFactors) -> tuple[int, ...]:
 
 
 def coordinates(factors: GaussianFactors, selected: tuple[int, ...]) -> int:
-    """The number of coordinates of a grid of prices: the factors kept, and the spikes."""
+    """The number of coordinates of a grid of prices: the selected factors, and the spikes."""
     return len(selected) + (factors.spikes is not None)
 
 
 def _regular(schedule, interpolation, spacing: float) -> list[np.ndarray]:
-    """[T + 1] evenly spaced inventories, the ratchet levels and the ends of each interval."""
+    """[T + 1] the grids: evenly spaced inventories, the ratchet levels and the ends of the interval
+    of each day."""
     horizon = len(schedule.steps.forward)
     low, high = visited(schedule, interpolation)
     levels = [rates(schedule, interpolation, t).levels for t in range(horizon)]
@@ -170,7 +171,7 @@ def _regular(schedule, interpolation, spacing: float) -> list[np.ndarray]:
 
 
 def _backward(schedule, interpolation, grid: FactorGrid, nodes: list[np.ndarray], volumes):
-    """All days' decisions and the value today."""
+    """The decisions of all days, and the value today."""
     steps, constants = schedule.steps, schedule.constants
     horizon = len(steps.forward)
     spots = grid.spot(horizon, constants.end_forward)
@@ -215,18 +216,19 @@ SLOW = 17
 
 
 class Refined(NamedTuple):
-    """A present value before fixed costs, and the sum of the last moves of its grids."""
+    """A present value before fixed costs, and its error: the sum of the last changes on finer
+    grids."""
 
     value: float
     error: float
 
 
 def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) -> Refined:
-    """The lattice's value; the grids of volumes and of prices are refined until it is stable.
+    """The value of the lattice; the grids of volumes and of prices are refined until it is stable.
 
     With constant rates the inventories are the breakpoints of the value, which are exact. Otherwise
-    the first grid of volumes contains every daily flow, if these have a common measure: any other
-    grid would lower the value of a store with round volumes.
+    the first grid of volumes contains every daily flow, if the flows have a common measure. Any
+    other grid would lower the value of a store with round volumes.
     """
     if len(schedule.steps.forward) == 0:
         return Refined(lattice(schedule, factors, interpolation).value, 0.0)
@@ -251,8 +253,8 @@ def refined(schedule, factors: GaussianFactors, interpolation: Interpolation) ->
 
 
 def on_finer_grids(first: float, value: Callable[[int], float], enough: float = MOVED) -> Refined:
-    """The value on a grid that is halved until the value changes by less than the share `enough`,
-    and the last change."""
+    """The value on a grid whose spacing is halved until the value changes by less than the share
+    `enough`; and the last change."""
     before, moved = first, 0.0
     for times in range(1, HALVED + 1):
         after = value(2**times)
@@ -263,7 +265,8 @@ def on_finer_grids(first: float, value: Callable[[int], float], enough: float = 
 
 
 def _first_step(schedule, nodes: int) -> float:
-    """The spacing of inventories: a part of the common measure of the daily flows, where it can."""
+    """The spacing of inventories: a fraction of the common measure of the daily flows, if
+    possible."""
     room = volume_scale(schedule)
     volume = common_volume(schedule.steps)
     if volume is None or volume < room / MAX_NODES:

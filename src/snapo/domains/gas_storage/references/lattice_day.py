@@ -1,4 +1,4 @@
-"""One day of the inventory lattice: its grid, the best decisions on it, and their effect."""
+"""One day of the inventory lattice: its grid, the best decisions on the grid, and their effect."""
 
 from typing import TYPE_CHECKING, Literal, NamedTuple
 
@@ -24,19 +24,20 @@ HOLD, UP, DOWN, BUY_TO, SELL_TO, MOVE_TO = range(6)
 
 
 def free_volumes(schedule, interpolation: Interpolation) -> Volumes:
-    """The search for free volumes: with step ratchets the value jumps, and every node is tried."""
+    """The search for free volumes; with step ratchets the value jumps, so that every node is
+    tried."""
     return "every" if interpolation == "step" and schedule.steps.levels.shape[-1] > 1 else "free"
 
 
 class DayDecisions(NamedTuple):
-    """One day's best decisions, and the nodes needed to follow them.
+    """The best decisions of one day, and the nodes to which they lead.
 
-    - `inventory`: [n] start-of-day grid; `nodes`: [m] end-of-day grid.
+    - `inventory`: [n] the grid at the start of the day; `nodes`: [m] the grid at its end.
     - `choice`: [n, columns] HOLD (the flow nearest to zero), UP and DOWN (the largest and the
       smallest net flow), BUY_TO or SELL_TO (a flow to the node of the column), MOVE_TO (a flow to a
       separate node).
-    - `today`: the end-of-day inventories of the first three; `buy_to`, `sell_to` [columns] and
-      `move_to` [n, columns]: node indices of the others.
+    - `today`: the inventories at the end of the day for the first three; `buy_to`, `sell_to`
+      [columns] and `move_to` [n, columns]: the nodes of the others.
     """
 
     inventory: np.ndarray
@@ -49,7 +50,8 @@ class DayDecisions(NamedTuple):
 
 
 class LatticeFlow(NamedTuple):
-    """Expected volumes of one day by column [columns], and the weights after it [m, columns]."""
+    """The expected volumes of one day by column [columns], and the probabilities after it [m,
+    columns]."""
 
     injected: np.ndarray
     withdrawn: np.ndarray
@@ -57,7 +59,8 @@ class LatticeFlow(NamedTuple):
 
 
 def inventory_nodes(low: float, high: float, spacing: float, levels: np.ndarray) -> np.ndarray:
-    """Multiples of the spacing inside [low, high], with both ends and the levels between them."""
+    """The multiples of the spacing inside [low, high], with both ends and the `levels` between
+    them."""
     if high - low <= 1e-9 * spacing:
         return np.array([low])
     inner = np.arange(np.ceil(low / spacing), np.floor(high / spacing) + 1) * spacing
@@ -81,8 +84,8 @@ def decide(
     """The best decision at each start-of-day inventory [n] and column, and the value [n, columns].
 
     `after` [m, columns] is the value at the end of the day on `nodes` [m]. With free volumes, the
-    node at which value minus price is greatest is a target if it is within reach; if `after` is
-    concave in the inventory, no other target is needed.
+    node with the largest value minus price is a target if it is within reach. If `after` is concave
+    in the inventory, no other target is needed.
     """
     today = moves(schedule, day_rates, t, inventory)
     best = np.full((len(inventory), after.shape[1]), -np.inf)
@@ -161,8 +164,8 @@ def follow(day: DayDecisions, weight: np.ndarray) -> LatticeFlow:
 
 def interpolation_matrix(nodes: np.ndarray, points: np.ndarray) -> "csr_array":
     """The sparse matrix [n, m] of the linear interpolation from rising nodes [m] to points [n],
-    flat outside. Linear interpolation keeps the order of values, and can only lower a concave
-    value.
+    constant outside the nodes. Linear interpolation preserves the order of values, and can only
+    lower a concave value.
     """
     from scipy.sparse import csr_array  # late: a case is checked without it
 

@@ -1,14 +1,15 @@
 """The marginal value of gas from the fastest price factor only, and the grids of its factors.
 
-The fast factor has a fine uniform grid and the trapezoidal rule against the exact transition
-density: for a smooth integrand its error falls faster than any power of the spacing (Trefethen and
-Weideman, SIAM Review 56, 2014), and the kinks of decisions add an error of the order of the spacing
-squared. The slow factor has few nodes: Gauss-Hermite quadrature of a cubic spline through them.
+The fast factor has a fine uniform grid, on which the trapezoidal rule is used with the exact
+transition density. For a smooth integrand its error falls faster than any power of the spacing
+(Trefethen and Weideman, SIAM Review 56, 2014); the kinks of decisions add an error of the order of
+the spacing squared. The slow factor has few nodes, with Gauss-Hermite quadrature of a cubic spline
+through them.
 
-A store that is filled and emptied by fixed daily volumes has values with corners at the multiples
-of these: the value of the next unit injected is the slope above, that of the last unit withdrawn
-the slope below. If volumes have a common measure, the rows of the table of slopes are on the
-corners and half-way between them.
+The value of a store that is filled and emptied by fixed daily volumes has corners at the multiples
+of these volumes. The value of the next unit injected is the slope above the corner, and the value
+of the last unit withdrawn is the slope below it. If volumes have a common measure, the rows of the
+table of slopes are on the corners and half-way between them.
 """
 
 from collections.abc import Callable
@@ -32,7 +33,8 @@ MAX_NODES = 401
 
 
 class Transition(NamedTuple):
-    """A sum of products: slow weights [from, to] x fast weights [from, to], for each term."""
+    """A transition as a sum of products, one for each term: slow weights [from, to] x fast weights
+    [from, to]."""
 
     terms: list[tuple[np.ndarray, np.ndarray]]
 
@@ -45,7 +47,7 @@ class Transition(NamedTuple):
         return np.reshape(total, (len(value), -1))
 
     def spread(self, weight: np.ndarray) -> np.ndarray:
-        """The transpose of `expect`: weights (probabilities) on the nodes a day later."""
+        """The transpose of `expect`: the probabilities of the nodes a day later."""
         total = 0.0
         for slow, fast in self.terms:
             moved = weight.reshape(-1, slow.shape[0], fast.shape[0]) @ fast
@@ -77,11 +79,12 @@ class FactorGrid:
         return len(self.slow) * len(self.fast)
 
     def spot(self, t: int, forward: np.ndarray) -> np.ndarray:
-        """Spot prices [columns] on day t (T: on the end date), of mean `forward`."""
+        """The spot prices [columns] on day t (T for the end date), with the mean `forward`."""
         return self.of.spot(forward, self.noise(t))
 
     def by_forward(self, t: int) -> np.ndarray:
-        """Derivatives [columns] of the spot price of day t with respect to its forward price."""
+        """The derivatives [columns] of the spot price of day t with respect to its forward
+        price."""
         return self.of.by_forward(self.noise(t))
 
     def noise(self, t: int) -> np.ndarray:
@@ -96,11 +99,12 @@ class FactorGrid:
         return self.of.noise(log, variance).ravel()
 
     def start(self) -> Transition:
-        """From the valuation date, where all factors are 0, to the first day (one row)."""
+        """The transition from the valuation date, on which all factors are 0, to the first day (one
+        row)."""
         return self._transition(0, np.zeros(1), np.zeros(1))
 
     def after(self, t: int) -> Transition:
-        """From day t to the next day, or to the end date."""
+        """The transition from day t to the next day, or to the end date."""
         return self._transition(t + 1, self.slow, self.fast)
 
     def _transition(self, into: int, slow, fast) -> Transition:
@@ -115,7 +119,8 @@ class FactorGrid:
 def factor_grid(
     of: GaussianFactors, selected: tuple[int, ...], spacing: float, slow_nodes: int
 ) -> FactorGrid:
-    """The grid for one or two factors; `spacing` in standard deviations of the fast daily shock."""
+    """The grid for one or two factors; `spacing`: in standard deviations of the daily shock of the
+    fast factor."""
     covariance = _covariance(of, list(selected))
     widest = np.sqrt(np.max(covariance[:, range(len(selected)), range(len(selected))], axis=0))
     shocks = of.shock[:, selected[0]]
@@ -143,7 +148,8 @@ def _covariance(of: GaussianFactors, selected: list[int]) -> np.ndarray:
 
 
 def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
-    """Independent factors need one term; correlated ones a term per shock of the slow factor."""
+    """The weights. Independent factors need one term; correlated factors need a term for each shock
+    of the slow factor."""
     if grid.of.spikes is not None:
         local = transition_weights(grid.fast, decay[0] * fast, np.sqrt(covariance[0, 0]))
         return Transition([(spike_weights(grid.of.spikes, grid.slow, slow), local)])
@@ -168,7 +174,7 @@ def _weights(grid: FactorGrid, decay, covariance, slow, fast) -> Transition:
 
 
 def transition_weights(nodes: np.ndarray, mean: np.ndarray, deviation: float) -> np.ndarray:
-    """Weights [points, nodes] of the expectation over N(mean, deviation^2)."""
+    """The weights [points, nodes] of the expectation over N(mean, deviation^2)."""
     if len(nodes) == 1:
         return np.ones((len(mean), 1))
     if deviation < NARROW * (nodes[1] - nodes[0]):
@@ -180,7 +186,7 @@ def transition_weights(nodes: np.ndarray, mean: np.ndarray, deviation: float) ->
 
 
 def gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]:
-    """Shocks and their probabilities; one shock of 0 if there is no noise."""
+    """The shocks and their probabilities; one shock of 0 if there is no noise."""
     if deviation == 0:
         return np.zeros(1), np.ones(1)
     nodes, weights = np.polynomial.hermite_e.hermegauss(count)
@@ -188,7 +194,7 @@ def gauss_hermite(deviation: float, count: int) -> tuple[np.ndarray, np.ndarray]
 
 
 def spline_weights(nodes: np.ndarray, points: np.ndarray) -> np.ndarray:
-    """Natural cubic spline interpolation as weights [points, nodes], flat outside the nodes."""
+    """Natural cubic spline interpolation as weights [points, nodes], constant outside the nodes."""
     from scipy.interpolate import CubicSpline  # late: few cases need it, and it loads slowly
 
     spline = CubicSpline(nodes, np.eye(len(nodes)), bc_type="natural")
@@ -202,13 +208,13 @@ FINE = 8  # the smallest part, of a table with twice as many pieces
 
 
 class SlopeTable(NamedTuple):
-    """Rows of a table, by day.
+    """The rows of a table of slopes, by day.
 
     - `low`, `high`: [T] the first and the last row; the rows between are evenly spaced.
-    - `next_low`, `next_high`: [T] the inventories that the day can end with.
-    - `corners`: whether levels lie on corners, so that a slope has two sides.
-    - `segments`: how many there are; a segment is between two levels, and rows are at the levels
-      and half-way between them.
+    - `next_low`, `next_high`: [T] the smallest and the largest inventory at the end of the day.
+    - `corners`: whether levels are on corners, where the slope has two sides.
+    - `segments`: the number of segments; a segment is between two levels, and rows are at the
+      levels and half-way between them.
     """
 
     low: np.ndarray
@@ -224,7 +230,8 @@ class SlopeTable(NamedTuple):
         return 2 * self.segments + 1
 
     def nodes(self, t: int) -> np.ndarray:
-        """Inventories at the end of day t: the parts of all pieces, and both ends of the day."""
+        """The inventories at the end of day t: the points that divide all segments, and both ends
+        of the interval."""
         low, high = self.next_low[t], self.next_high[t]
         if high <= low:
             return np.array([low])
@@ -236,7 +243,8 @@ class SlopeTable(NamedTuple):
     def slopes(
         self, t: int, values: Callable[[np.ndarray], np.ndarray], low: float, high: float
     ) -> tuple[np.ndarray, np.ndarray]:
-        """[rows, …] slopes above and below the rows, of `values` [n, …] known from low to high."""
+        """[rows, …] the slopes above and below the rows, of `values` [n, …] that are known from low
+        to high."""
         row = np.linspace(self.low[t], self.high[t], self.rows)
         part = (self.high[t] - self.low[t]) / (THIRD * self.segments)
         left = np.stack([row - part / 2, row - part / 2])
@@ -249,7 +257,8 @@ class SlopeTable(NamedTuple):
 
 
 def slope_table(schedule) -> SlopeTable:
-    """The rows of all days: on corners if these are few and known, else across each interval."""
+    """The rows of all days: on the corners if these are known and few enough, otherwise across each
+    interval."""
     steps = schedule.steps
     low, high = np.asarray(steps.next_low, float), np.asarray(steps.next_high, float)
     across = SlopeTable(low, high, low, high, corners=False)
@@ -267,8 +276,8 @@ def slope_table(schedule) -> SlopeTable:
 
 
 def common_volume(steps, divisors: int = DIVISORS) -> float | None:
-    """The common divisor of all daily volumes, if it is not too small a part of the smallest; None
-    if they depend on the inventory."""
+    """The common divisor of all daily volumes; None if it is too small a part of the smallest
+    volume, if the volumes depend on the inventory, or if gas is lost."""
     volumes = np.concatenate([steps.injection_rate, steps.withdrawal_rate])
     if np.any(np.ptp(volumes, axis=1) > 0) or np.any(np.asarray(steps.inventory_loss) != 0):
         return None
@@ -294,9 +303,9 @@ class MarginalValues:
     - `low`, `high`: [T] the range of the table, see `SlopeTable`; row k of n is at low + k / (n -
       1) (high - low).
     - `above`, `below`: [T, rows, n] the coefficients c on either side of a row, in c0 + c1 f + c2
-      f^2 + … with the fastest factor's state f on the day and the other factors at zero; currency
-      per unit, discounted to the valuation date.
-    - `reach`: [T] the |f| within which the polynomial was fitted; clip f to it.
+      f^2 + …, where f is the fastest factor on the day and the other factors are zero; currency per
+      unit, discounted to the valuation date.
+    - `reach`: [T] the largest |f| for which the polynomial was fitted; clip f to this range.
     """
 
     low: np.ndarray
@@ -312,8 +321,8 @@ def marginal_values(
     """The table of a dynamic program in the fast factor, or of the intrinsic problem if there are
     no factors.
 
-    If a day has only one possible inventory (`low` = `high`) the value is the day's spot price.
-    There must be at least one day.
+    If a day has only one possible inventory (`low` = `high`), the value is the spot price of the
+    day. There must be at least one day.
     """
     table = slope_table(schedule)
     if factors is None:
@@ -371,13 +380,15 @@ def _interpolated(nodes: np.ndarray, values: np.ndarray, points: np.ndarray) -> 
 
 
 def _reach(grid: FactorGrid) -> np.ndarray:
-    """[T] three standard deviations of the factor on the day; early on, of half its widest."""
+    """[T] three standard deviations of the factor on the day, or three times half of its largest
+    standard deviation if that is more."""
     deviation = np.sqrt(grid.covariance[:-1, 0, 0])
     return FITTED * np.maximum(deviation, 0.5 * deviation.max(initial=0.0))
 
 
 def _polynomial(states: np.ndarray, deviation: float, values: np.ndarray) -> np.ndarray:
-    """Least squares of values [rows, columns] on powers of f, weighted by the factor's density."""
+    """The least-squares fit of values [rows, columns] to powers of f, weighted with the density of
+    the factor."""
     polynomial = np.zeros((len(values), DEGREE + 1))
     if len(states) <= DEGREE or deviation == 0:
         polynomial[:, 0] = values[:, len(states) // 2]

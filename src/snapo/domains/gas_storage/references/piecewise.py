@@ -1,8 +1,8 @@
 """Dynamic programming with exact piecewise-linear value functions, for prices known in advance.
 
-Between breakpoints the value of inventory, the rate limits and the cash of a move are linear, so
-one day's maximum is the upper envelope of a few lines on each interval: no grid, no interpolation
-error, for any shape of the ratchets.
+Between breakpoints the value of inventory, the rate limits and the cash of a move are linear. The
+maximum of one day is therefore the upper envelope of a few lines on each interval, without a grid
+or an interpolation error, for ratchets of any shape.
 """
 
 from typing import NamedTuple
@@ -26,7 +26,8 @@ SAME = 1e-13
 
 
 class PiecewiseLine(NamedTuple):
-    """A continuous piecewise-linear function: rising breakpoints and its values there. [n]"""
+    """A continuous piecewise-linear function: its rising breakpoints, and its values at them.
+    [n]"""
 
     at: np.ndarray
     value: np.ndarray
@@ -44,9 +45,9 @@ def day_value(
     low: float,
     high: float,
 ) -> PiecewiseLine:
-    """The value at the start of day t of every inventory in [low, high], computed from `after`,
-    the value at its end. `prices` are the day's two known unit prices; `after` spans all
-    inventories that can be reached from [low, high].
+    """The value at the start of day t of every inventory in [low, high], computed from `after`, the
+    value at its end. `prices` are the two unit prices of the day; `after` covers all inventories
+    that can be reached from [low, high].
     """
     day_rates = rates(schedule, interpolation, t)
     scale = volume_scale(schedule)
@@ -81,7 +82,8 @@ def best_move(
     after: PiecewiseLine,
     inventory: float,
 ) -> float:
-    """The inventory at the end of day t that earns most; among equals the smallest flow."""
+    """The inventory at the end of day t with the largest earnings; if several are equal, the one
+    with the smallest flow."""
     today = moves(schedule, rates(schedule, interpolation, t), t, np.array([inventory]))
     down, up = today.down[0], today.up[0]
     inside = after.at[(after.at > down) & (after.at < up)]
@@ -93,9 +95,9 @@ def best_move(
 
 
 def visited(schedule, interpolation: Interpolation) -> tuple[np.ndarray, np.ndarray]:
-    """The smallest and the largest inventory that can be reached from the initial one, [T + 1]
-    each. In the first days this interval is narrower than that of the schedule, from which the
-    contract can still be met.
+    """The smallest and the largest inventory that can be reached from the initial inventory, each
+    [T + 1]. On the first days this interval is narrower than the interval of the schedule, which
+    has all inventories from which the contract can still be met.
     """
     horizon = len(schedule.steps.forward)
     low, high = np.empty(horizon + 1), np.empty(horizon + 1)
@@ -114,7 +116,8 @@ def _cash(prices: UnitPrices, net: np.ndarray) -> np.ndarray:
 
 
 def _breakpoints(schedule, day_rates: DayRates, t, targets, low, high, scale) -> np.ndarray:
-    """Levels where today's value may bend: ratchets, or where a move meets a bend of `after`."""
+    """The levels at which the value at the start of the day may bend: ratchet levels, and levels
+    from which a move ends at a bend of `after`."""
     levels = day_rates.levels
     knots = np.concatenate([[low], levels[(levels > low) & (levels < high)], [high]])
     keep = knots * (1 - schedule.steps.inventory_loss[t])
@@ -135,7 +138,7 @@ def _breakpoints(schedule, day_rates: DayRates, t, targets, low, high, scale) ->
 
 
 def _peaks(line: PiecewiseLine, price) -> np.ndarray:
-    """Indices of the local maxima of value - price x inventory (the right end of a plateau)."""
+    """The indices of the local maxima of value - price x inventory (the right end of a plateau)."""
     net = line.value - price * line.at
     left = np.append(-np.inf, net[:-1])
     right = np.append(net[1:], -np.inf)
@@ -143,7 +146,8 @@ def _peaks(line: PiecewiseLine, price) -> np.ndarray:
 
 
 def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -> PiecewiseLine:
-    """The greatest of C lines on each of n intervals, given at its two ends, [C, n] each."""
+    """The upper envelope of C lines on each of n intervals; the lines are values at the two ends,
+    each [C, n]."""
     value = np.maximum(
         np.append(start.max(axis=0), -np.inf), np.append(-np.inf, finish.max(axis=0))
     )
@@ -164,7 +168,8 @@ def _upper_envelope(points: np.ndarray, start: np.ndarray, finish: np.ndarray) -
 
 
 def _without_collinear(line: PiecewiseLine) -> PiecewiseLine:
-    """Drops breakpoints that lie on the chord of their neighbours, never two neighbours at once."""
+    """Removes breakpoints on the chord between their neighbours, but never two neighbours at
+    once."""
     at, value = line
     tolerance = COLLINEAR * max(np.abs(value).max(), 1e-300)
     parity, unchanged = 0, 0
