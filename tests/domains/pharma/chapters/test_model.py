@@ -3,6 +3,7 @@
 import pytest
 from tests.domains.pharma.filled import filled, folder
 
+from snapo.domains.pharma.chapters.estimation import _of_fit
 from snapo.domains.pharma.chapters.model import (
     MODEL,
     NumberStatement,
@@ -52,3 +53,9 @@ def test_a_ranking_has_its_words_outside_the_columns_of_numbers():
     assert [row[2] for row in table.rows] == [f"50.0{SPACE}%", "–"]
     assert [row[4] for row in table.rows] == ["", "variation uses all of the margin"]
     assert [table.right(i) for i in range(5)] == [False, False, True, True, False]
+
+
+def test_a_fit_is_doubted_where_its_status_is_and_not_before():
+    # The status accepts a fit whose chi² has a tail of 0.001 or more.
+    assert "inadequate" not in _of_fit(0.005)
+    assert "inadequate" in _of_fit(0.0005)

@@ -19,7 +19,7 @@ from snapo.study.study import StudyRun
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import PharmaProcess
 from ..quality.boundary import interval
-from ..quality.estimation import ParameterFit, fit, model_of, numbers_of, variables_of
+from ..quality.estimation import DOUBT, ParameterFit, fit, model_of, numbers_of, variables_of
 from ..quality.records import Estimation
 from ..read.entries import EntryNumbers
 from ..read.fitted import COLUMNS
@@ -27,7 +27,7 @@ from ..shared import SOUND, open_loop
 from . import pictures
 
 FITTED = "fitted.csv"
-DOUBT = 0.01  # tail below which a batch is not as the model expects
+DIFFERENT = 0.01  # p-value below which a batch held out is not as the model expects
 
 
 @dataclass(frozen=True)
@@ -306,20 +306,26 @@ def validation(run: RunFiles) -> Section:
         _points(tests),
     ]
     if finite(result.tail) is not None:
-        valid = result.tail >= DOUBT
-        text = (
-            f"A correct model exceeds the chi² of the fit with probability {percent(result.tail)}"
-        )
-        end = "." if valid else ": the errors of the measurements, or the model, are inadequate."
-        blocks.append(Text(text + end))
+        blocks.append(Text(_of_fit(result.tail)))
     return Section("validation", title, short, blocks)
+
+
+def _of_fit(tail: float) -> str:
+    """Whether the chi² of the fit is that of a correct model, at the limit of the fit itself."""
+    text = f"A correct model exceeds the chi² of the fit with probability {percent(tail)}"
+    doubtful = tail < DOUBT
+    return (
+        f"{text}: the errors of the measurements, or the model, are inadequate."
+        if doubtful
+        else f"{text}."
+    )
 
 
 def _batches(batches: Sequence[Agreement]) -> Table:
     rows = [
         (
             x.experiment, f"{x.inside} of {x.points}", number(x.chi2), percent(x.tail),
-            Mark(x.tail >= DOUBT, "as expected" if x.tail >= DOUBT else "differs"),
+            Mark(x.tail >= DIFFERENT, "as expected" if x.tail >= DIFFERENT else "differs"),
         )
         for x in batches
     ]  # fmt: skip
