@@ -100,7 +100,7 @@ MOVES_ONLY = {
         f"value {text!r}": (with_text("0.07", text), f"line 4, column set .*: {message}")
         for text, message in {
             "abc": "got 'abc'; text needs quotation marks", "nan": f"got 'nan'; {NUMBER}",
-            "inf": f"got 'inf'; {NUMBER}", '"[1, 2"': ".* not a value as TOML writes it",
+            "inf": f"got 'inf'; {NUMBER}", '"[1, 2"': ".* not a valid value in TOML",
             "x.csv": "got 'x.csv'; text needs quotation marks.",
         }.items()
     },

@@ -40,7 +40,7 @@ def _parsed(text: str) -> tuple[str, Any]:
     if path.count(".") >= DEEPEST or is_deep(data):
         raise CaseError(OPTION, "", path, TOO_DEEP)
     if list(data) != ["value"]:
-        message = "this is not a value as TOML writes it: 2000, 0.5, true, 2027-04-01, [1, 2]"
+        message = "this is not a valid value in TOML: 2000, 0.5, true, 2027-04-01, [1, 2]"
         if moment := impossible_moment(written):
             raise CaseError(OPTION, path, Unquoted(moment[0]), moment[1])
         if written and not set(written) & set("\"'\n[]{}"):

@@ -1,6 +1,7 @@
 """The descriptions of the kinds of plants: parameters, weights, states and actions with units.
 
-A case is read and checked with the description; the equations are in `plants/`, a class for each.
+The description is enough to read and check a case; the equations are in `plants/`, with a class for
+each kind.
 """
 
 import math
