@@ -179,7 +179,8 @@ class NegativeBinomialDemand(CountDemand):
         if deviation**2 <= 1.01 * mean:
             minimum = (1.01 * mean) ** 0.5
             message = (
-                f"it must be a number above {minimum:.4g}, the deviation of a Poisson demand; "
+                f"it must be a number above {minimum:.4g}, the standard deviation of a Poisson "
+                f"demand; "
                 'for a Poisson demand use kind "poisson"'
             )
             raise section.error("deviation", deviation, message)
