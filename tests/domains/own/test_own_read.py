@@ -123,7 +123,7 @@ MISTAKES = {
     "no module": (["--simulator", "nothing:Shop"], "", "", "got nothing:Shop", "no nothing.py in"),
     "no class": (["--simulator", "simulator:Stop"], "", "", "has no Stop; its classes are Shop"),
     "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a subclass of snapo.Sim"),
-    "python's own": (["--simulator", "json:Shop"], "", "", "the name of a module of Python"),
+    "python's own": (["--simulator", "json:Shop"], "", "", "Python has a module of this name"),
     "no output": (PLACE, 'output = "profit"', "", "objective.output: this key is missing"),
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
@@ -132,7 +132,7 @@ MISTAKES = {
     ),
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input must be a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; it must be a"),
-    "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; give value ="),
+    "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; write value ="),
     "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "either a value or a file"),
     "column": (PLACE, 'column = "mean"', 'column = "median"', "column median is missing"),
     "file": (PLACE, '"demand.csv"', '"demands.csv"', "there is no such file", "(there are demand.csv)"),

@@ -13,7 +13,7 @@ A period:
    unmet demand, and a fixed cost for every order, even if less is sent, or nothing.
 
 A place has to cover `lead_time + 1` periods of demand before its next order can arrive, and a place
-that it supplies covers them too. A line is that of Clark and Scarf (1960) with lead times + 1.
+that it supplies covers them too. A line is the model of Clark and Scarf (1960) with lead times + 1.
 """
 
 from dataclasses import replace
