@@ -43,6 +43,6 @@ export function cancelled() {
 export function bounded({ table }) {
   idle("");
   const { gap, upper } = table, share = Math.abs(gap.high / (upper.value || 1));
-  const advice = share > 0.02 ? " Training again may gain a part of that." : " Training again can gain no more.";
+  const advice = share > 0.02 ? " Further training may gain a part of that." : " Further training cannot gain more than that.";
   at("bounds").textContent = `The optimum is at most ${shown(upper.high, 6)} (95 %): this policy is at most ${shown(gap.high, 4)} (${shown(100 * share, 2)} %) below it.${advice}`;
 }

@@ -135,7 +135,7 @@ function table(input, moved) {
   const paste = (first, text) => {
     const found = column(text), room = input.handles.length - first;
     if (found.bad !== undefined) return input.refuse(`Nothing was pasted: line ${found.line} holds ${JSON.stringify(found.bad)}, which is not a number.`);
-    if (found.numbers.length > room) return input.refuse(`Nothing was pasted: the column has ${found.numbers.length} numbers, but from here on there is room for ${room}.`);
+    if (found.numbers.length > room) return input.refuse(`Nothing was pasted: the column has ${found.numbers.length} numbers, but from this row on there is room for only ${room}.`);
     input.refuse("");
     found.numbers.forEach((v, k) => put(input, input.handles[first + k].at, v / input.factor));
     input.show();

@@ -72,7 +72,7 @@ function about({ about, page: name }) {
   if (!page.base && !about.follows) {
     at("figure").textContent = shown(about.result.value, 6);
     at("error").textContent = error(about.result.standard_error);
-    at("changes").replaceChildren(fact("of the run", "as solve reported it"));
+    at("changes").replaceChildren(fact("value of the run", "as reported by snapo solve"));
   }
 }
 
@@ -184,11 +184,11 @@ const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stri
 
 // Why the numbers on the page are not of its inputs.
 function reason() {
-  if (refusal) return "for the previous inputs: the present ones are refused";
+  if (refusal) return "for the previous inputs; the present inputs are refused";
   if (!page.ready) return "for the previous inputs; the calculation is starting";
-  if (page.valued === page.n) return "for the previous inputs; the present ones are valued next";
+  if (page.valued === page.n) return "for the previous inputs; the present inputs are valued next";
   const time = seconds() >= LONG ? `, ${seconds()} s` : "";
-  return isCompiled() ? `for the previous inputs; the present ones are being valued${time}` : `for the previous inputs; code for this choice is being compiled, once${time}`;
+  return isCompiled() ? `for the previous inputs; the present inputs are being valued${time}` : `for the previous inputs; code for this choice is being compiled, once${time}`;
 }
 
 // Every stale number is dimmed; the value is shown to first order, where that is known.
@@ -201,7 +201,7 @@ function expect() {
   at("value").classList.toggle("pending", waits);
   const long = waits && !refusal && page.ready && sent && (seconds() >= LONG || !isCompiled());
   at("working").hidden = !long;
-  for (const menu of page.menus) menu.busy(long && !isCompiled() && menu.now !== menu.value ? `compiled for this choice, once; it may take a minute: ${seconds()} s so far` : "");
+  for (const menu of page.menus) menu.busy(long && !isCompiled() && menu.now !== menu.value ? `code for this choice is being compiled, once; this may take a minute (${seconds()} s so far)` : "");
   if (waits && !refusal && page.ready) status(seconds() >= LONG ? `revaluing, ${seconds()} s` : "revaluing", "busy");
   if (by !== null) {
     at("figure").textContent = shown(page.last.value + by, 6);
@@ -221,10 +221,10 @@ function buttons() {
   at("bound").hidden = !page.bounded;
   at("run-policy").hidden = !page.policy;
   withhold(why || page.busy || "", [at("train"), at("bound"), at("explain")], at("again-why"));
-  withhold(why || (anything() ? "" : "These are the run's own numbers: move an input first."), [at("keep-now")], at("keep-why"));
+  withhold(why || (anything() ? "" : "These are the inputs of the run; move an input first."), [at("keep-now")], at("keep-why"));
   at("undo").disabled = !steps.past.length;
   at("redo").disabled = !steps.future.length;
-  at("undo").title = steps.past.length ? "Ctrl+Z" : "no input was moved yet";
+  at("undo").title = steps.past.length ? "Ctrl+Z" : "no input has been moved yet";
   at("redo").title = steps.future.length ? "Ctrl+Shift+Z" : "nothing was undone";
 }
 
@@ -264,7 +264,7 @@ function facts(by, found, none = "…") {
     if (by !== null) rows.push(fact("change to first order", signed(by)));
     rows.push(fact("change, revalued", found ? signed(found.change) : none, found ? error(found.change_error) : ""));
   }
-  if (page.policy) rows.push(fact("policy", typeof page.policy === "string" ? "that of the scenario" : "trained again here"));
+  if (page.policy) rows.push(fact("policy", typeof page.policy === "string" ? "from the scenario" : "trained again here"));
   at("changes").replaceChildren(...rows);
 }
 
@@ -341,7 +341,7 @@ const work = (id, order, words) => at(id).addEventListener("click", () => {
   buttons();
 });
 work("train", "train", "training starts");
-work("explain", "explain", "one input after another is valued");
+work("explain", "explain", "the inputs are moved and valued one after another");
 work("bound", "bound", "the bound is being computed, which takes some seconds");
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
 at("adopt").addEventListener("click", () => use(page.trained));

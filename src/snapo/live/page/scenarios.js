@@ -34,7 +34,7 @@ function beside(found, called) {
   const number = (key, more, write) => found.map((each) => `${write(each.value?.[key])} ${error(each.value?.[more])}`);
   at("beside-table").replaceChildren(head,
     cells("Value", number("value", "standard_error", (x) => shown(x, 6))), cells("Change", number("change", "change_error", signed)),
-    ...names.map((name) => cells(name, all.map((map) => map.get(name) ?? "as the run"))));
+    ...names.map((name) => cells(name, all.map((map) => map.get(name) ?? "as in the run"))));
 }
 
 export function scenarios(found, { load, keep, forget, called }) {
