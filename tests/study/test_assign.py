@@ -69,7 +69,10 @@ def test_tables_are_made_and_the_last_one_counts():
         ("contract.rates=[1,", "this is not a valid value in TOML"),
         ("contract.inventory=1\nkind = 2", "this is not a valid value in TOML"),
         ("contract.inventory.low=3", "contract.inventory is a value, not a table with keys"),
-        ("contract.rates.2=3", "got element 2; the array has 2 elements, numbered from 0"),
+        (
+            "contract.rates.2=3",
+            "got element 2; the array has 2 elements, which are numbered from 0",
+        ),
         ("assets.bond.weight=1", "the nearest known key is bonds"),
         ("assets.-1.weight=1", "got element -1"),
     ],

@@ -258,7 +258,7 @@ def test_two_parts_give_different_tables(fake, tmp_path):
     first, _, alone = parts([1])
     again = Part("again", lambda run: {"alone": 1})
     found, _ = carried(tmp_path, [first, alone, again])
-    assert "another part gives ['alone'] already" in found["failures"]["again"]
+    assert "another part has already written ['alone']" in found["failures"]["again"]
 
 
 def test_a_study_names_its_parts_once_and_in_order():

@@ -261,7 +261,7 @@ def print_page(page: Path, file: Path, browser: str) -> None:
         try:
             done = subprocess.run(command, capture_output=True, timeout=SECONDS, check=False)
         except subprocess.TimeoutExpired:
-            raise OSError(f"{browser} has not printed within {SECONDS} s") from None
+            raise OSError(f"{browser} has not printed the page within {SECONDS} s") from None
         if not made.exists() or not made.read_bytes().startswith(b"%PDF"):
             metadata = done.stderr.decode(errors="replace").strip().splitlines()
             raise OSError(
