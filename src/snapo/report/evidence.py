@@ -78,7 +78,7 @@ def training_history(run: RunFiles, unit: str) -> Section:
     caption = (
         "The selected policy is the one with the best exact value on the validation paths; it "
         "need not be the last one. Paths left out because of non-finite numbers: "
-        "{number(count, 0)}."
+        f"{number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
 

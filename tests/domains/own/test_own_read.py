@@ -191,7 +191,7 @@ def test_size_and_bench_are_refused_with_a_reason(folder, capsys):
     assert main(["new", "own", str(folder), "--size", "large"]) == 2
     assert "this kind has one example only" in capsys.readouterr().err
     assert main(["bench", "own"]) == 2
-    assert "nothing of this kind is timed separately" in capsys.readouterr().err
+    assert "there are no separate times for this kind" in capsys.readouterr().err
 
 
 def test_an_unreadable_module_message_names_what_raised():

@@ -175,7 +175,7 @@ def _chart(
         "The upper bound is the value plus the gap. The gap is the mean over fresh paths of the "
         "earnings of the best decisions with perfect foresight, less a penalty for foresight, "
         "minus the earnings of the policy. For policies without foresight, the penalty has mean "
-        "zero ({result.words})."
+        f"zero ({result.words})."
     )
     return Chart(svg, caption)
 
