@@ -224,7 +224,7 @@ def test_the_address_has_the_state(page, browser, server):
 
 def test_a_download_that_fails_says_why(page):
     page.click("#scenarios a >> text=the run's report")
-    page.locator("#download-trouble", has_text="snapo report makes one").wait_for()
+    page.locator("#download-trouble", has_text="`snapo report` writes one").wait_for()
     enter(page, "price", "20")
     settled(page)
     page.click("#take-xlsx")

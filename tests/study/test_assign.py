@@ -42,9 +42,9 @@ def test_tables_are_made_and_the_last_one_counts():
 @pytest.mark.parametrize(
     ("assignment", "clause"),
     [
-        ("contract.inventory", "write it like contract.inventory=2000"),
-        ("=3", "write it like contract.inventory=2000"),
-        ("contract..inventory=3", "write it like contract.inventory=2000"),
+        ("contract.inventory", "such as contract.inventory=2000"),
+        ("=3", "such as contract.inventory=2000"),
+        ("contract..inventory=3", "such as contract.inventory=2000"),
         ("title=Other", "text needs quotation marks; in a shell: --set 'title=\"Other\"'"),
         (
             "contract.start=2021-13-01",

@@ -185,7 +185,7 @@ def _adjoints(run: RunFiles) -> list[Block]:
     steps = run.column("adjoints", "step")
     if steps is None or steps.size < 2:
         return []
-    available = [("usual", "Usual path", "main"), ("largest", "Largest path", "withdraw")]
+    available = [("usual", "Typical path", "main"), ("largest", "Largest norm", "withdraw")]
     leaves = [name for name in run.adjoints if name not in ("step", "usual", "largest")]
     available += [(name, f"State {name!r}", "limit") for name in leaves[:PARTS]]
     lines = []

@@ -53,7 +53,7 @@ def about(run: RunFiles) -> list[tuple[str, str]]:
     lead = "" if case.network else counted(case.lead_time or 0, case.step)
     unmet = "lost" if case.lost else "delivered later"
     horizon = f"{counted(case.counted, case.step)} after {number(case.warm_up, 0)} of warm-up"
-    return [("Demand", case.demand), ("Without stock", f"demand is {unmet}"),
+    return [("Demand", case.demand), ("Unmet demand", unmet),
             ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip
 
 

@@ -219,7 +219,7 @@ def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:
         Column("Value", lambda row: WithError(row.value, row.standard_error), run.unit, digits=6),
         Column("Share of extrinsic value", _percent, "%", decimal_places=1),
         Column(
-            "Less the policy",
+            "Minus the policy",
             lambda row: WithError(row.difference, row.difference_error),
             run.unit,
             sign=True,

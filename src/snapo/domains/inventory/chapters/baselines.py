@@ -117,5 +117,5 @@ BASELINES = Chapter(
     RuleResults,
     measure,
     show,
-    short="Rivals",
+    short="Rules",
 )

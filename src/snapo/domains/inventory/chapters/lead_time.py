@@ -114,7 +114,7 @@ def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
     step, rows = CaseSummary.of(run).step, result.lead_time_change
     columns = [
         Column("Lead time", lambda row: counted(row.lead, step)),
-        Column("Cost, change", lambda row: WithError(-row.change, row.standard_error), run.unit,
+        Column("Change in cost", lambda row: WithError(-row.change, row.standard_error), run.unit,
                sign=True),
     ]  # fmt: skip
     if any(row.place for row in rows):

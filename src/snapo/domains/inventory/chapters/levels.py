@@ -160,7 +160,7 @@ def _table(result: OrderCurves, unit: str) -> Table:
     head = [("Stock", unit)]
     for curve in curves:
         coming = f" ({number(curve.coming, digits)} on their way)" if len(curves) > 1 else ""
-        head += [(f"Order{coming}", unit), ("Up to", unit)]
+        head += [(f"Order{coming}", unit), ("Order-up-to level", unit)]
     lines = np.linspace(0, len(stock) - 1, min(LINES, len(stock))).round().astype(int)
     rows = []
     for i in np.unique(lines):

@@ -88,7 +88,7 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     columns = [
         Column("Place", "name"),
         Column("Supplied by", lambda site: site.supplier or "outside"),
-        mean("level", "Orders up to", unit, 2),
+        mean("level", "Order-up-to level", unit, 2),
         Column("Stock", lambda site: WithError(site.stock.value, site.stock.standard_error),
                unit, decimal_places=digits),
         mean("demand", "Demand", unit, digits),

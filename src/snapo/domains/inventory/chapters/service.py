@@ -168,7 +168,7 @@ def _cost_table(costs: Sequence[CostPart], unit: str) -> Table:
         )
         for cost in costs
     ]
-    rows.append(("Together", number(everything, digits), "", percent(1.0)))
+    rows.append(("All costs", number(everything, digits), "", percent(1.0)))
     head = [("Cost", ""), ("", unit), ("", ""), ("Share", "")]
     return Table(head, rows, "Cost by part", 1, strong=frozenset([len(rows) - 1]))
 
