@@ -36,7 +36,7 @@ class AxisTable(CaseTable):
     values: str | list[bool | float | str | datetime.date] = doc("values of the key", "", VALUES)
     range: str = doc("range of Sobol points", "", 'first and last number of Sobol points, "5:35"')
     sobol: int | None = doc(
-        "number of Sobol points", None, "how many Sobol points, 1 or more", ge=1, le=MAX_POINTS
+        "number of Sobol points", None, "a number of Sobol points, 1 or more", ge=1, le=MAX_POINTS
     )
 
 

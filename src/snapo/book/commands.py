@@ -231,8 +231,8 @@ def check(path: Path) -> list[str]:
         f"{counted(plan.size, 'job')}; {counted(1 + stresses, 'point')} for each contract",
         f"shapes of contracts: about {shapes:,}; contracts whose derivatives are tested by "
         f"bumps: {judged:,}",
-        f"expected: {_duration(seconds)} of processor time, if the contracts are gas stores of a "
-        "year",
+        f"expected: {_duration(seconds)} of processor time, if all contracts are gas stores of "
+        f"one year",
     ]
 
 

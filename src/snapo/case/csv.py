@@ -256,7 +256,7 @@ def read_rows(
     else:
         result, written = _read(reference, _text(path, name))
     if not result:
-        message = f"the file is empty; its first line is {','.join(columns)}"
+        message = f"the file is empty; its first line must be {','.join(columns)}"
         raise CaseError(name, "", None, message)
     (line, cells), *records = result
     names = _header(name, line, cells, columns, with_keys)

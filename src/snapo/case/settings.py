@@ -77,7 +77,7 @@ class TrainingTable(CaseTable):
         "temperature",
         0.0,
     )
-    starts: Annotated[int, Range(1, noun="a number of initial weights")] = doc(
+    starts: Annotated[int, Range(1, noun="a number of initial networks")] = doc(
         "number of initial networks with which training begins; it continues with the better ones",
         1,
     )

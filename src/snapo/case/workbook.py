@@ -130,7 +130,7 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
         here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):
             raise Unreadable(
-                f"{key}: the key before it already has a value, so it cannot be a table"
+                f"{key}: a part of this key already has a value, so it cannot be a table"
             )
 
 

@@ -45,7 +45,9 @@ def shard(text: str) -> tuple[int, int]:
     number, _, count = text.partition("/")
     digits = (number + count).isascii() and number.isdigit() and count.isdigit()
     if not digits or not 1 <= int(number) <= int(count):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a part such as 3/100, from 1/100 on")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a part such as 3/100; the first part is 1/100"
+        )
     return int(number), int(count)
 
 

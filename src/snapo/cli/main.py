@@ -29,7 +29,7 @@ from .arguments import (
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
-ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native where it can"
+ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native if possible"
 EXTRAS = {  # and the packages that they bring
     "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
     "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),

@@ -282,7 +282,7 @@ class WhatIf:
                 raise CaseError(name, "", None, "there is no such input")
             new = np.asarray(value, np.float64)
             if new.size != inputs.value.size or not np.isfinite(new).all():
-                message = f"this input has {inputs.value.size} finite numbers"
+                message = f"it must be {inputs.value.size} finite numbers"
                 raise CaseError(name, "", None, message)
             new = new.reshape(inputs.value.shape)
             if not np.array_equal(new, inputs.value):

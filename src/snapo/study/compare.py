@@ -129,7 +129,8 @@ def compare(first: Path, second: Path) -> Comparison:
         run_folder.check_whole(run, record, (GROUPS, SOLUTION, POLICY, HALFWAY))
         if changed_files(run, {run_folder.RESULT: record["result"]} if "result" in record else {}):
             message = (
-                "this file was changed or damaged since it was written: solve with --resume again"
+                "this file was changed or damaged since it was written; run snapo solve again "
+                "with --resume"
             )
             raise CaseError(str(run / run_folder.RESULT), "", None, message)
     results = [_result(run) for run in (first, second)]

@@ -34,7 +34,8 @@ def _item_lines(case: InventoryCase) -> list[str]:
         f"{case.title}: {_periods(case)}",
         f"demand of a {case.period}: {case.demand.describe()}; demand that exceeds the stock "
         f"{unmet}",
-        f"an order arrives after {counted(item.lead_time, case.period)}; {integers} numbers of "
+        f"an order arrives after {counted(item.lead_time, case.period)}; orders are {integers} "
+        f"numbers of "
         f"{plural(case.unit)}",
         f"initial base-stock level: {counted(level, case.unit)}",
     ]

@@ -132,7 +132,7 @@ def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
             hint = "a fraction is expected, such as 0.01 for 1 %"
             yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
         if entry.display_factor == 1e4 and entry.display_unit == "bp":
-            hint = "a fraction is expected, 0.0001 is 1 bp"
+            hint = "a fraction is expected, such as 0.0001 for 1 bp"
             yield Plausible(0.0, 0.5, hint, names=(entry.name,), by_size=True)
 
 
