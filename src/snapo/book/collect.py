@@ -29,7 +29,7 @@ class BookPosition:
 
     - `points`: {stress: its point, with the cost and the shape of its result}.
     - `labels`: {stress: {label of an axis: the text of its value}}.
-    - `world`: equal for contracts whose paths of the same number have the same scenario.
+    - `world`: a text that is equal for two contracts if all their paths have the same scenarios.
     """
 
     contract: BookContract

@@ -25,9 +25,10 @@ IN_FLIGHT = 1000  # jobs that an executor of others has at most: it shares them 
 def worker_pools(
     where: str, workers: int | None = None, trust_network: bool = False
 ) -> list[WorkerPool]:
-    """The places of `--on WHERE`; "" is this machine, with one process for each core.
+    """The places where jobs run, from `--on WHERE`; "" is this machine, with one process for each
+    core.
 
-    **Raises:** `CaseError` if there is no such place, or its network is open.
+    **Raises:** `CaseError` if there is no such place, or if its network is open to others.
     """
     if not where:
         return _processes(workers)

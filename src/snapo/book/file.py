@@ -141,7 +141,7 @@ class Origin(NamedTuple):
 class BookContract:
     """A contract of the book, which is a case.
 
-    - `quantity`: the number of these contracts in the book; negative: sold.
+    - `quantity`: the number of these contracts in the book; a negative number means sold contracts.
     - `tables`: the tables of the case after all changes; `files`: {name: content} of the files that
       they name.
     - `labels`: {column: text} of its row.

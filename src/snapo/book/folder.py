@@ -203,7 +203,7 @@ class BookFolder:
     def prepare(self, record: Mapping[str, Any], keep: bool) -> None:
         """Prepares the folder; `keep`: whether its results remain.
 
-        **Raises:** `CaseError` if it cannot be written, or contains something else.
+        **Raises:** `CaseError` if it cannot be written, or contains other files.
         """
         if self.path.exists() and not (self.path / BOOK).exists() and any(self.path.iterdir()):
             message = "this folder has other files; it must be empty or the folder of a book"
@@ -229,8 +229,8 @@ class BookFolder:
         return self._checked(BOOK, table, RecordForm)
 
     def result(self) -> dict[str, Any]:
-        """The content of result.json. **Raises:** `CaseError` if it is missing, or with the key
-        where it is damaged.
+        """The content of result.json. **Raises:** `CaseError` if it is missing or damaged; the
+        message names the key.
         """
         message = "this book has no results yet: snapo book BOOK --resume computes them"
         table = self._checked(RESULT, self._json(RESULT, message), ResultForm)

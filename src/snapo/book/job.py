@@ -255,7 +255,7 @@ class JobResult(NamedTuple):
     - `points`: the base first, if the job has one, then the points of its stresses.
     - `policy`: the file of the trained policy; `shape`: the hash of everything for which code is
       compiled.
-    - `world`: equal for results whose paths of the same number have the same scenario
+    - `world`: a text that is equal for two results if all their paths have the same scenarios
       (`Scenarios.world`).
     """
 

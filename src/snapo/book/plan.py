@@ -139,7 +139,7 @@ def _loss(name: str, own: BookPoint, shared: BookPoint) -> PolicyLoss:
 
 @dataclass(frozen=True)
 class BookPlan:
-    """The jobs of a book; `fingerprint` of the processors that may compute them."""
+    """The jobs of a book; `fingerprint`: that of the processors that may compute them."""
 
     book: Book
     fingerprint: str = ""

@@ -56,7 +56,7 @@ class BookStressTable(CaseTable):
 @dataclass(frozen=True)
 class StressMove:
     """One input under a stress: `value * scale + shift`, on the dates of `when`; or a key of the
-    case with another value.
+    case with a new value.
 
     - `key`: a key of the case, "market.forward_curve".
     - `when`: first and last day of the move; None: all days.

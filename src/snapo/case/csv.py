@@ -2,8 +2,8 @@
 remedy.
 
 A CSV is UTF-8 (with or without a byte-order mark), with a header row that names the columns in any
-order; blank lines and lines that start with `#` are ignored. Commas separate, numbers have a
-decimal point, days are YYYY-MM-DD and months YYYY-MM; see `dialect` for others.
+order; blank lines and lines that start with `#` are ignored. Commas separate the columns, numbers
+have a decimal point, days are YYYY-MM-DD and months are YYYY-MM; see `dialect` for other formats.
 """
 
 import csv

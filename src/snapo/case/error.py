@@ -12,7 +12,7 @@ class CaseError(ValueError):
 
     **Arguments:**
 
-    - `file`: the file with the mistake, by its name for the user.
+    - `file`: the file with the mistake, under the name that the user knows.
     - `where`: the key ("contract.max_injection"), the line ("line 7") or the date.
     - `value`: the wrong value; `None` if a value is missing.
     - `allowed`: a correct value, described in a clause.

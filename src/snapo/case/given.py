@@ -1,4 +1,4 @@
-"""Numbers that the user gave, with their meaning and units."""
+"""Numbers that the user entered, with their meaning and units."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -125,7 +125,7 @@ class CaseInput:
       `Input`.
     - `positions`: [n] the position of each number in the files of the case; () if no reader
       recorded it.
-    - `starts`: [n] day numbers from which the numbers hold, where they change with time.
+    - `starts`: [n] day numbers from which the numbers apply, if they change with time.
     - `quantity`: the declaration of the numbers (`snapo.case.quantity`), if there is one.
     """
 
@@ -156,7 +156,7 @@ class CaseInput:
         return self.values[self.index]
 
     def use(self) -> Use:
-        """The use of the numbers by a simulator: see `snapo.problem.form`."""
+        """The way in which a simulator uses the numbers; see `snapo.problem.form`."""
         return Use.of(self.name, len(self.values), self.index)
 
     @property

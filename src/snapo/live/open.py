@@ -47,7 +47,7 @@ class AboutRun(NamedTuple):
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
     """Reads the files of a run without any computation.
 
-    **Raises:** `CaseError` if there is no run, or one without a policy.
+    **Raises:** `CaseError` if there is no run, or if it has no policy.
     """
     record = run_folder.read(run)
     domain_of_run(run, record, simulator)

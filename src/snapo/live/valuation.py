@@ -1,8 +1,8 @@
 """The trained policy of a run, valued at other inputs, for the page.
 
-The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
-paths, bit for bit, because the same functions run on the same scenarios, with the value table and
-the control variate of the new case. Each derivative is that of the run, plus the change of the
+The value is bit for bit equal to that of `snapo solve` for the moved case with the same policy,
+seed and numbers of paths. The same functions run on the same scenarios, with the value table and
+the control variate of the moved case. Each derivative is that of the run, plus the change of the
 derivative with decisions held fixed.
 """
 
@@ -103,7 +103,7 @@ class Valuation(WhatIf):
         return self.policy is not self.solution.policy
 
     def save_policy(self, folder: Path) -> None:
-        """Saves a policy that was trained on the page next to a case; the policy of the run is
+        """Saves, next to a case, a policy that was trained on the page; the policy of the run is
         already in the run.
 
         **Raises:** `CaseError` for a policy of a user-defined class that no file can contain.

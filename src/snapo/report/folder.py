@@ -61,7 +61,8 @@ class RunResult:
 
     - `value`, `standard_error`, `smoothing_gap`, `policy_gradient_norm`, `policy_gradient_noise`:
       None if they are missing or not finite.
-    - `references`: {name: value}; `limits`: the fields of a `LimitFound` each; `notes`: sentences.
+    - `references`: {name: value}; `limits`: entries with the fields of a `LimitFound`; `notes`:
+      sentences.
     - `window`, `clip`, `keep`: the settings of backpropagation at the end of training.
     - `seconds`: times by name, in seconds; `engine`, `paths`, `seed`: the settings that reproduce
       these numbers.

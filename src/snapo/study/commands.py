@@ -1,4 +1,5 @@
-"""The work of every command, the same for all domains; the command line only prints it."""
+"""The functions of all commands, which are common to all domains; the command line only prints
+their results."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -114,8 +115,8 @@ def solve(
     hedge: bool = False,
     gamma: bool = False,
 ) -> dict[str, Any]:
-    """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
-    to the case; `run` points to the latest of them.
+    """Carries out the study of a case into the folder `out`, by default a new folder in `runs` next
+    to the case; the link `run` points to the latest run.
 
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: the number
     of consecutive seeds from the seed of the case on, or the seeds themselves; the run is that of

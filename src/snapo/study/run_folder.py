@@ -1,17 +1,17 @@
 """The folder of a run: its settings, its parts, and files written atomically.
 
-run.json            layout, kind, everything that decides the numbers, the state of every part, with
-                    checksums of its files and of result.json; and its own
+run.json            layout, kind, everything that determines the numbers, the state of every part,
+                    with checksums of its files, of result.json, and of run.json
 result.json         the headline: value, standard error, references, seconds, status
 case/               a copy of the case
 parts/NAME.json     the tables of one part
-checkpoint.npz, policy.npz, halfway.npz, solution.npz, history.csv, sensitivities.csv: of the
-                    training; the policies as files of `policy.save`
+checkpoint.npz, policy.npz, halfway.npz, solution.npz, history.csv, sensitivities.csv: from
+                    the training; the policies as `policy.save` writes them
 adjoints.csv        how adjoints grow by step, if training measured them
-groups.npz          values of independent groups of paths, by which runs are compared
-start.npz           the policy with which training began, where one was given
-seeds.csv, seeds/   where several seeds were asked for: their values, and a run folder of each
-policy.onnx, policy.py, policy.csv      of `snapo export`
+groups.npz          values of independent groups of paths, for comparisons of runs
+start.npz           the policy with which training began, if one was supplied
+seeds.csv, seeds/   if several seeds were requested: their values, and their run folders
+policy.onnx, policy.py, policy.csv      from `snapo export`
 report.html
 """
 
@@ -52,7 +52,7 @@ CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
 ONNX, PYTHON, DECIDED = "policy.onnx", "policy.py", "policy.csv"  # of `snapo export`
-START = "start.npz"  # the policy with which training began, where one was given
+START = "start.npz"  # the policy with which training began, if one was supplied
 SEEDS = "seeds.csv"  # one row for each seed, if several were asked for
 WRITTEN = (
     RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, HALFWAY, SOLUTION, HISTORY,

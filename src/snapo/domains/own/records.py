@@ -21,7 +21,7 @@ class OwnCase:
     - `objective_words`: the objective as text, "mean of cash"; `outputs`: {key in the case: output}
       for all outputs in the objective.
     - `positions`: {input: the positions of its numbers in the files}.
-    - `step`: the word for one step, "week".
+    - `step`: the noun for one step, "week".
     """
 
     file: Path

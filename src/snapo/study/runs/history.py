@@ -27,7 +27,7 @@ class RunRow(NamedTuple):
       date and time.
     - `value`, `low`, `high`: the value and its 95 % interval, None if there is none.
     - `status`: the status in result.json, or "running", or the reason why there is no status.
-    - `changes`: the settings that differ from the run before.
+    - `changes`: the settings that differ from the previous run.
     """
 
     run: str

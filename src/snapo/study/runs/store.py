@@ -1,7 +1,7 @@
 """The folders of the runs of a case, and the link `run`, which points to the latest run.
 
-mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the wall, and four digits
-mine/run                           a symbolic link to the latest one (a text file without links)
+mine/runs/2026-11-25T1530-7f3a     one run: the local time at which it began, and four digits
+mine/run                           a symbolic link to the latest run (a text file without links)
 
 The latest run is the last that finished with valid numbers or, if there is none, the last that
 began. A run that is writing holds a lock of the operating system on a file. The lock is released if

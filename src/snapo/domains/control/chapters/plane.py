@@ -36,8 +36,8 @@ EMPTY = np.zeros(0)
 class Plane:
     """The plane of two states; all fields are empty for a plant with one number.
 
-    - `states`, `units`, `turn`: names, units, and whether it is an angle, for the state on the
-      horizontal axis and the state on the vertical axis.
+    - `states`, `units`, `turn`: the names of the states on the horizontal and the vertical axis,
+      their units, and whether they are angles.
     - `across`, `up` [CELLS]: the points of the map on the two axes.
     - `action` [CELLS, CELLS]: the decision of the first step at (up, across), if the plant has no
       other states, otherwise empty.

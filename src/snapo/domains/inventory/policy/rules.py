@@ -95,8 +95,8 @@ RULES = {
 
 
 class Classical(Policy):
-    """The rule orders up to a level, at most a cap, and only if the position is at or below a
-    reorder point.
+    """The rule orders up to a level, at most a cap, and only if the position is below a reorder
+    point.
 
     Level and reorder point are relative to the simulator's level of the period, so that
     they move with a season.
@@ -104,9 +104,9 @@ class Classical(Policy):
     - `above`: the level S minus the simulator's level; `cap`: the maximum order; `reorder`: an
       order is placed if the inventory position is below s = level + reorder.
 
-    With an infinite cap and reorder point it is a base-stock rule; with a cap a capped base-stock
-    rule (Xin, 2021); with an infinite level and a cap a constant order; with a reorder point an
-    (s, S) rule.
+    With an infinite cap and reorder point it is a base-stock rule; with a cap it is a
+    capped base-stock rule (Xin, 2021), with an infinite level and a cap a constant order, and with
+    a reorder point an (s, S) rule.
     """
 
     above: Float[Array, ""]
