@@ -62,7 +62,8 @@ class TrainingTable(CaseTable):
         None,
     )
     window: Annotated[int, STEPS] | Literal["auto"] = doc(
-        "number of steps of a window of backpropagation, after which a critic estimates the rest",
+        "number of steps in a window of backpropagation; a critic estimates the value after the "
+        "window",
         "auto",
     )
     clip: Positive | Literal["auto"] = doc("bound on the adjoint of a path at every step", "auto")

@@ -62,8 +62,8 @@ class Agent:
             self.memory = np.where(np.asarray(began, bool)[:, None], 0.0, self.memory)
 
     def on(self, space: Any) -> "Agent":
-        """A copy with an empty memory. Its actions are `actions`, unless the agent already has an
-        action set."""
+        """A copy with an empty memory. Its actions are those of `space`, unless the agent was made
+        with an `action`."""
         return Agent(self.policy, self._features, space if self._given is None else self._given)
 
     def _decide(self, observed: np.ndarray) -> np.ndarray:

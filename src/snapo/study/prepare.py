@@ -101,9 +101,9 @@ def use_every_core() -> None:
 def keep_memory() -> None:
     """Lets the process keep memory that it has used, if the C library is glibc.
 
-    This is for processes that repeat calls of the same sizes: it saves nearly all the time that the
-    system would need to provide new memory pages. Threads share two pools of memory, which reduces
-    the memory that the process holds.
+    This is for processes that repeat calls of the same sizes: it saves a large part of the time
+    that the system would need to provide new memory pages. Threads share two pools of memory, which
+    reduces the memory that the process holds.
     """
     if (set_option := _of_glibc("mallopt")) is not None:
         set_option(MAPPED_FROM, 16 << 20)
