@@ -48,8 +48,8 @@ class AxisValue(NamedTuple):
 
     @classmethod
     def of(cls, value: Any, unit: str = "") -> "AxisValue":
-        """Makes a value of an axis; `unit`: the unit that was written after the numbers of the "
-        "axis."""
+        """Makes a value of an axis; `unit`: the unit that was written after the numbers of the
+        axis."""
         if isinstance(value, str):
             return cls(value, value)
         text = one_value(value) if isinstance(value, bool | datetime.date) else f"{value:.12g}"

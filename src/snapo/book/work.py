@@ -79,8 +79,8 @@ def compute(data: bytes) -> bytes:
 
 
 def _same_bits(job: BookJob) -> bool:
-    """Whether this processor returns the bits that the book requires; selects the processor for
-    which code is compiled."""
+    """Selects the processor for which code is compiled; returns whether this processor gives the
+    bits that the book requires."""
     if pipeline.unavailable() is not None:
         return True
     if job.processor:

@@ -69,7 +69,7 @@ def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
 
 
 def _floats(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """Numbers as floats, but integers as in a CSV."""
+    """The rows with integers as floats, as in the rows of a CSV."""
     return [[float(x) if type(x) is int else x for x in row] for row in rows]
 
 

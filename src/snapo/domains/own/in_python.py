@@ -191,8 +191,8 @@ def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDom
 
 
 def _carry_out(solution: Solution, domain: PythonDomain, out: Path, *, every: bool) -> None:
-    """Writes a run of the solution to the folder `out`, with `every` part or those of a live "
-    "page."""
+    """Writes a run of the solution to the folder `out`, with `every` part or those of a live
+    page."""
     problem = domain.solved.problem
     data = {
         "kind": domain.kind,
