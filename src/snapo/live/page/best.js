@@ -1,4 +1,4 @@
-// How near the policy is to its best here: its gradient, a bound, and training again.
+// The policy's distance from its best at these inputs: its gradient, a bound, and further training.
 
 import { error, nearness, shown } from "./numbers.js";
 import { at, page } from "./page.js";
@@ -15,7 +15,7 @@ export function rest() {
   at("bounds").textContent = "";
 }
 
-// No calculation is going on beside the moves; `words` say what the last one gave.
+// No calculation is running except the moves; `words`: the result of the last calculation.
 export function idle(words) {
   page.busy = "";
   at("cancel").hidden = at("progress").hidden = at("adopt").hidden = true;

@@ -1,4 +1,4 @@
-// The page: what the server says is shown, and what the hand moves is sent.
+// The page: it shows what the server sends, and sends what the user moves.
 
 import { bounded, cancelled, health, idle, rest, trained, training } from "./best.js";
 import { explained, firstOrder } from "./change.js";
@@ -121,7 +121,7 @@ function ready(message) {
   if (lost) trouble(lost);
 }
 
-// A server that was started again offers the inputs that stood on the last page of the one before.
+// A restarted server offers the inputs that the last page of the previous server showed.
 function offered(first) {
   const last = page.about.last;
   if (!first || !last || anything()) return;
@@ -131,7 +131,7 @@ function offered(first) {
   at("offer-take").onclick = () => load(last.values, last.chosen);
 }
 
-// Back at the run's own numbers: nothing to compute.
+// Back at the run's numbers: nothing has to be computed.
 function home() {
   page.n += 1;
   page.now = { ...page.base };
@@ -145,7 +145,7 @@ function home() {
   buttons();
 }
 
-// An input or a choice was moved; `done`: the hand has left its control.
+// An input or a choice was moved; `done`: whether the user has released its control.
 function moved(done) {
   page.n += 1; // what is on its way is of other inputs
   refusal = "";
@@ -163,7 +163,7 @@ function moved(done) {
   else timer = setTimeout(ask, QUIET);
 }
 
-// The address has the state, so that a reload or another page of this server shows it.
+// The address contains the state, so that a reload or another page of this server shows it.
 function address() {
   history.replaceState(null, "", steps.here ? `#${steps.here}` : location.pathname);
 }
@@ -182,7 +182,7 @@ const key = () => JSON.stringify([chosen(), page.policy]);
 const seconds = () => (sent ? Math.floor((performance.now() - sent) / 1000) : 0);
 const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stringify(chosen()));
 
-// Why the numbers on the page are not of its inputs.
+// The reason why the numbers on the page do not belong to its inputs.
 function reason() {
   if (refusal) return "for the previous inputs; the present inputs are refused";
   if (!page.ready) return "for the previous inputs; the calculation is starting";
@@ -191,7 +191,7 @@ function reason() {
   return isCompiled() ? `for the previous inputs; the present inputs are being valued${time}` : `for the previous inputs; code for this choice is being compiled, once${time}`;
 }
 
-// Every stale number is dimmed; the value is shown to first order, where that is known.
+// Dims every stale number; the value is shown to first order if it can be.
 function expect() {
   if (!page.base) return;
   const waits = stale.has("value"), by = waits && !refusal ? firstOrder(page.last, key()) : null;
@@ -211,7 +211,7 @@ function expect() {
   buttons();
 }
 
-// Buttons that cannot work say why.
+// Disables buttons that cannot work, and shows the reason.
 function buttons() {
   const why = refusal ? "These inputs are refused, so nothing can be computed."
     : !page.ready ? "The calculation is starting."
@@ -313,7 +313,7 @@ function use(policy) {
   moved(true);
 }
 
-// A step back or forth, or an address that was typed.
+// A step back or forward, or an address that was typed.
 function jump(text) {
   if (text === null || !page.base) return;
   restore(text);

@@ -1,4 +1,4 @@
-// Words and switches of the case: what is allowed stands in a menu.
+// Options and switches of the case: a menu shows the allowed values.
 
 import { element } from "./draw.js";
 

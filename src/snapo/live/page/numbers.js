@@ -1,4 +1,4 @@
-// Numbers as people read and write them.
+// Numbers in the form in which people read and write them.
 
 const formats = new Map();
 
@@ -8,7 +8,7 @@ function format(options) {
   return formats.get(key);
 }
 
-// A number with a sensible number of digits; a dash where there is none.
+// A number with a sensible number of digits; a dash if there is no number.
 export function shown(x, digits = 5) {
   return written(x, digits).replace(/^-/, "−");
 }
@@ -27,7 +27,7 @@ export function signed(x, digits = 5) {
   return x > 0 ? `+${shown(x, digits)}` : shown(x, digits);
 }
 
-// Half of the 95 % interval, from a standard error: nothing else stands after ±.
+// Half of the 95 % interval, from a standard error: the only number that is written after ±.
 export const HALF = 1.959964;
 export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(HALF * x, 2)}` : "");
 

@@ -23,7 +23,7 @@ export function today(found) {
 
 const headed = (name, unit) => capital(unit ? `${name}, ${unitWords(unit)}` : name);
 
-// The domain's own sections. A column of standard errors stands in the one before it.
+// The sections of the domain. A column of standard errors is shown in the column before it.
 export function sections(found) {
   const text = (each) => (typeof each === "string" ? each : shown(each));
   at("sections").replaceChildren(...found.map(({ title, description, columns, rows, facts = [] }) => {
@@ -48,7 +48,7 @@ export function choices() {
   at("fan-name").replaceChildren(...series.map((each, i) => element("option", { value: i, selected: each === first }, seriesName(each, series))));
 }
 
-// The name of a series for people; where a state and an output share one, their kind too.
+// The name of a series for users, with its kind if a state and an output share the name.
 const KINDS = { state: "state", action: "decision", outputs: "output of one step" };
 
 function seriesName(each, series) {
@@ -75,7 +75,7 @@ export function deltas(found) {
 // The unit of a derivative: "MWh" for EUR per EUR/MWh.
 const quotient = (top, per) => (per === "1" ? top : per.startsWith(`${top}/`) ? per.slice(top.length + 1) : `${top} per ${per}`);
 
-// Where the derivative of an input comes from, unless it is that with the decisions held fixed.
+// The source of an input's derivative, unless it is the derivative with the decisions held fixed.
 const reported = (input) => ({
   "through the policy": " A bump contradicted the derivative with the decisions held fixed. At the run's inputs, the number shown is the result of the bump; at other inputs, it changes by as much as the derivative with the decisions held fixed.",
   "range": " At the run's inputs, an increase and a decrease of this input have different effects; the interval contains both.",
