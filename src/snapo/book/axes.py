@@ -220,7 +220,7 @@ def spaced(file: str, where: str, text: str) -> Iterator[AxisValue]:
 
     **Raises:** `CaseError` if the text does not have this form.
     """
-    allowed = 'the first number, the last number and the count of values, 2 or more: "5:35:7"'
+    allowed = 'the first and the last number, and how many values, 2 or more: "5:35:7"'
     match = RANGE.fullmatch(text)
     if match is None or match[3] is None:
         raise CaseError(file, where, text or None, allowed)
