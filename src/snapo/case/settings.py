@@ -8,7 +8,7 @@ from .table import CaseTable, Positive, Range, doc, optional, parse, subtable
 
 MAX_PATHS = 100_000_000  # more path totals than fit in the memory of one machine
 MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
-IN_MEMORY = Range(1, MAX_PATHS, note="; a larger number does not fit in memory")
+IN_MEMORY = Range(1, MAX_PATHS, note="; more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
 EVERY = STEPS._replace(
     note="; by default 50, or 10 after a fitted rule, and at most a quarter of the steps"

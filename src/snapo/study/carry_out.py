@@ -190,7 +190,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
         )
     missing = [name for name in part.needs if typed.part(name).state != DONE]
     if missing:
-        note = f"it needs the parts {', '.join(missing)}"
+        note = f"it needs {', '.join(missing)}"
         states[part.name] = {"state": SKIPPED, "note": note, "seconds": 0.0}
         return
     run.progress(part.name)
