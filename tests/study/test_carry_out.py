@@ -265,7 +265,9 @@ def test_a_study_names_its_parts_once_and_in_order():
     first, doubled, _ = parts([1])
     with pytest.raises(ValueError, match="two parts are named 'first sum'"):
         study([first, first])
-    with pytest.raises(ValueError, match="'doubled' needs \\['first sum'\\], which are not before it"):
+    with pytest.raises(
+        ValueError, match="'doubled' needs \\['first sum'\\], which are not before it"
+    ):
         study([doubled, first])
 
 
