@@ -237,7 +237,7 @@ def test_stresses_of_a_parquet_are_those_of_a_csv(tmp_path):
 
 def test_a_stress_moves_a_key_once_and_labels_are_no_results(tmp_path):
     stress = f'[[stress]]\nname = "a"\nset = {{ "{COST}" = 1.0 }}\nshift = {{ "{COST}" = 1.0 }}\n'
-    with pytest.raises(CaseError, match="cannot also be scaled, shifted or set again"):
+    with pytest.raises(CaseError, match="cannot be scaled, shifted or set again"):
         read_book(write_book(tmp_path / "a", ROWS[:1], stresses=stress))
     with pytest.raises(CaseError, match="rename the column of the table"):
         read_book(write_book(tmp_path / "b", [{"name": "a", "value": 3}]))

@@ -140,7 +140,7 @@ WRONG = {
     "no such table": ('[[stress]]\ntable = "none.csv"\n', "none.csv"),
     "base": (
         '[[stress]]\nname = "base"\nscale = { "a.b" = 2 }\n',
-        "this is the name of the unstressed",
+        "this name means the unstressed",
     ),
 }
 

@@ -99,9 +99,9 @@ MOVES_ONLY = {
     **{
         f"value {text!r}": (with_text("0.07", text), f"line 4, column set .*: {message}")
         for text, message in {
-            "abc": "got 'abc'; text needs quotation marks", "nan": f"got 'nan'; {NUMBER}",
-            "inf": f"got 'inf'; {NUMBER}", '"[1, 2"': ".* not a value as TOML writes it",
-            "x.csv": "got 'x.csv'; text needs quotation marks.",
+            "abc": "got 'abc'; a text needs quotation marks", "nan": f"got 'nan'; {NUMBER}",
+            "inf": f"got 'inf'; {NUMBER}", '"[1, 2"': ".* not a valid value in TOML",
+            "x.csv": "got 'x.csv'; a text needs quotation marks.",
         }.items()
     },
     **{
@@ -194,7 +194,7 @@ def test_scale_and_shift_of_a_row_in_either_order(folders):
             r"stress\[1\]\.name: got 'a'; a stress with a table may have",
         ),
         ('name = "a"\nset = { "a.b" = 1 }\nwhen = "2025-01/2025-01"', r"stress\[1\]\.when: got"),
-        ('name = "base"\nset = { "a.b" = 1 }', "the name of the unstressed point"),
+        ('name = "base"\nset = { "a.b" = 1 }', "this name means the unstressed point"),
     ],
 )
 def test_keys_that_had_no_effect(folders, text, expected):

@@ -48,4 +48,4 @@ def test_a_twin_has_twice_the_error_and_the_report_a_chart(valued):
     twins = rows_of(valued, "desk", "A")["cash_flow"]["standard_error"]
     np.testing.assert_allclose(twins, 2 * single, rtol=1e-9, atol=1e-12)
     page = (valued.out / "report.html").read_text(encoding="utf-8")
-    assert "Exposure by day" in page and "by desk, mean of a day" in page
+    assert "Exposure by day" in page and "by desk, daily mean" in page

@@ -66,8 +66,8 @@ def test_a_plain_file_has_no_note(tmp_path):
     ("text", "place", "reason"),
     [
         ("date;price\n01.04.2021;1,5\n02.04.2021;1.5\n", "line 2, column price", "and 1.5 a point"),
-        ("date;price\n01.04.2021;1.234\n", "line 2, column price", "a fraction, or a thousand"),
-        ("date;price\n01.04.2021;1,234\n", "line 2, column price", "a fraction, or a thousand"),
+        ("date;price\n01.04.2021;1.234\n", "line 2, column price", "decimals or thousands"),
+        ("date;price\n01.04.2021;1,234\n", "line 2, column price", "decimals or thousands"),
         ("date,price\n04/05/2021,1\n", "line 2, column date", "are ambiguous"),
         (
             "date,price\n13/05/2021,1\n05/13/2021,1\n",

@@ -123,7 +123,7 @@ def test_after_a_refusal_every_number_is_dimmed_and_buttons_say_why(page):
     page.locator("#status", has_text="refused").wait_for()
     assert page.inner_text("#figure") == "–"
     assert dimmed(page) == {*CARDS, "Service"}
-    assert "the present ones are refused" in page.inner_text("#deltas .reason")
+    assert "the present inputs are refused" in page.inner_text("#deltas .reason")
     for name in ("#train", "#bound", "#keep-now"):
         assert page.locator(name).is_disabled()
     assert "refused" in page.inner_text("#again-why") and "refused" in page.inner_text("#keep-why")
@@ -160,7 +160,7 @@ def test_a_choice_shows_how_long_it_is_compiled(page, held):
     assert "compiled, once" in page.inner_text("#value .reason")
     assert "value" in dimmed(page) and page.inner_text("#figure") == "455"
     note = page.locator("[data-choice] [role=status]")
-    assert "it may take a minute: 0 s" in note.inner_text()
+    assert "this may take a minute (0 s" in note.inner_text()
     page.locator("[data-choice] [role=status]", has_text=re.compile("[1-9] s so far")).wait_for()
     held.unlink()
     assert settled(page) == "505"
@@ -187,7 +187,7 @@ def test_health_is_compared_with_the_verdict_on_the_run(
     with serving(tmp_path, held, **result) as server, opened(browser, server) as page:
         assert words in page.inner_text("#health")
         assert ("far" in (page.get_attribute("#health", "class") or "")) == far
-        assert ("not settled" in page.inner_text("#health")) == far
+        assert ("not certain" in page.inner_text("#health")) == far
 
 
 def test_moves_are_undone_and_done_again(page):
@@ -224,7 +224,7 @@ def test_the_address_has_the_state(page, browser, server):
 
 def test_a_download_that_fails_says_why(page):
     page.click("#scenarios a >> text=the run's report")
-    page.locator("#download-trouble", has_text="snapo report makes one").wait_for()
+    page.locator("#download-trouble", has_text="`snapo report` writes one").wait_for()
     enter(page, "price", "20")
     settled(page)
     page.click("#take-xlsx")
@@ -250,7 +250,7 @@ def test_the_policy_that_training_found_is_adopted_and_kept(page, server):
     page.click("#run-policy")
     assert settled(page) == "456" and page.locator("#run-policy").is_hidden()
     page.click("#kept button >> text=Show")
-    assert settled(page) == "463" and "that of the scenario" in page.inner_text("#changes")
+    assert settled(page) == "463" and "from the scenario" in page.inner_text("#changes")
     # A number of a policy ends with its worker, that of a scenario is in its file.
     server.workers.process.kill()
     page.locator("#status", has_text="revalued in").wait_for()
@@ -343,7 +343,7 @@ def test_scenarios_stand_side_by_side_with_what_moved_and_by_how_much(page):
     rows = [row.inner_text().split("\t") for row in page.locator("#beside-table tr").all()]
     assert rows[0] == ["", "Dear", "All", "Some"]
     assert rows[1][1] == "456 ± 0.98" and rows[2][1] == "+1 ± 0.49"  # of 0.5 and 0.25
-    assert ["Price", "as the run", "all +1.5 EUR/t", "3 of 3: +1.5 to +4 EUR/t"] in rows
+    assert ["Price", "as in the run", "all +1.5 EUR/t", "3 of 3: +1.5 to +4 EUR/t"] in rows
 
 
 def test_the_page_starts_from_the_value_of_the_run_and_says_which_paths_are_its_own(

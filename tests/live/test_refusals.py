@@ -22,13 +22,13 @@ def test_a_refusal_names_the_input_in_the_units_of_its_field():
     words = str(no_value({"swing": np.array(-1e4)}, {"swing": POINTS}, 510, 512))
     assert words == (
         "swing: got −1,000,000 points; it must be a number with which the simulator can calculate, "
-        "such as the run's 10 points: here 510 of its 512 paths have no finite total, so "
+        "such as the run's 10 points: here 510 of the 512 paths have no finite total, so "
         "there is no value."
     )
     new = FLOWS.value + np.array([0.0, -1e30, 0.0])
     words = str(no_value({"inflow": new}, {"inflow": FLOWS}, 8, 8))
     assert words.startswith("inflow, Tue: got −1\u00a0×\u00a010³⁰ hm³;")
-    assert "the run's 5 hm³: here all of its 8 paths" in words
+    assert "the run's 5 hm³: here all of the 8 paths" in words
     assert "choice" in str(no_value({}, {}, 8, 8))
 
 

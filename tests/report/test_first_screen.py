@@ -103,8 +103,8 @@ def test_the_certificate_is_folded_with_its_largest_error():
     )
     table = bump_table(Certificate(rows), "EUR")
     assert table.folded == (
-        "Adjoint compared with bumps: 2 of 2 agree; the largest error is 11.9 EUR of 18.5 allowed "
-        "(Volatility)"
+        "Adjoint compared with bumps: 2 of 2 agree; the error closest to its tolerance is 11.9 "
+        "EUR, where 18.5 is allowed (Volatility)"
     )
     limits = (LimitRow("injection", -4.5e-13, 0, 0, True), LimitRow("room", 3.0, 0, 0, True))
     table = limit_table(Certificate((), limits), "MWh", "Day")

@@ -42,9 +42,9 @@ def test_tables_are_made_and_the_last_one_counts():
 @pytest.mark.parametrize(
     ("assignment", "clause"),
     [
-        ("contract.inventory", "write it like contract.inventory=2000"),
-        ("=3", "write it like contract.inventory=2000"),
-        ("contract..inventory=3", "write it like contract.inventory=2000"),
+        ("contract.inventory", "such as contract.inventory=2000"),
+        ("=3", "such as contract.inventory=2000"),
+        ("contract..inventory=3", "such as contract.inventory=2000"),
         ("title=Other", "text needs quotation marks; in a shell: --set 'title=\"Other\"'"),
         (
             "contract.start=2021-13-01",
@@ -65,11 +65,14 @@ def test_tables_are_made_and_the_last_one_counts():
             "holidays=[2021-01-01, 2021-04-31]",
             "got 2021-04-31; this is not a date: April 2021 has 30",
         ),
-        ("contract.inventory=", "got nothing; this is not a value as TOML writes it"),
-        ("contract.rates=[1,", "this is not a value as TOML writes it"),
-        ("contract.inventory=1\nkind = 2", "this is not a value as TOML writes it"),
+        ("contract.inventory=", "got nothing; this is not a valid value in TOML"),
+        ("contract.rates=[1,", "this is not a valid value in TOML"),
+        ("contract.inventory=1\nkind = 2", "this is not a valid value in TOML"),
         ("contract.inventory.low=3", "contract.inventory is a value, not a table with keys"),
-        ("contract.rates.2=3", "got element 2; the array has 2 elements, numbered from 0"),
+        (
+            "contract.rates.2=3",
+            "got element 2; the array has 2 elements, which are numbered from 0",
+        ),
         ("assets.bond.weight=1", "the nearest known key is bonds"),
         ("assets.-1.weight=1", "got element -1"),
     ],

@@ -177,7 +177,7 @@ def test_a_changed_case_is_refused_with_its_key(fake, tmp_path, now, clause):
     with pytest.raises(CaseError) as caught:
         carried(tmp_path, parts([1, 2, 4]), resume=True, decides=DECIDES | now)
     assert clause in str(caught.value)
-    assert "resume with the same, or solve into another folder" in str(caught.value)
+    assert "resume it with the same settings, or solve into another folder" in str(caught.value)
     assert {f: f.read_bytes() for f in tmp_path.rglob("*") if f.is_file()} == before
 
 
@@ -238,7 +238,7 @@ def test_a_place_that_cannot_be_written_is_found_at_once(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(CaseError, match="is not a folder"):
         run_folder.check_writable(tmp_path / "file" / "run")
-    with pytest.raises(CaseError, match="cannot write there"):
+    with pytest.raises(CaseError, match="this folder cannot be written"):
         run_folder.check_writable(Path("/proc/nowhere"))
 
 
@@ -258,14 +258,16 @@ def test_two_parts_give_different_tables(fake, tmp_path):
     first, _, alone = parts([1])
     again = Part("again", lambda run: {"alone": 1})
     found, _ = carried(tmp_path, [first, alone, again])
-    assert "another part gives ['alone'] already" in found["failures"]["again"]
+    assert "another part has already written ['alone']" in found["failures"]["again"]
 
 
 def test_a_study_names_its_parts_once_and_in_order():
     first, doubled, _ = parts([1])
     with pytest.raises(ValueError, match="two parts are named 'first sum'"):
         study([first, first])
-    with pytest.raises(ValueError, match="'doubled' needs \\['first sum'\\] before it"):
+    with pytest.raises(
+        ValueError, match="'doubled' needs \\['first sum'\\], which are not before it"
+    ):
         study([doubled, first])
 
 

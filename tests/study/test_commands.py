@@ -117,13 +117,14 @@ def test_what_is_refused(fake, case, capsys):
     assert main(["solve", str(case), "--simulator", "simulator:Mine"]) == 2
     message = capsys.readouterr().err
     assert (
-        'a case of kind "fake" has its own simulator; a simulator of yours needs a case of kind "own"'
+        'a case of kind "fake" has a fixed simulator; for your own simulator write a case of kind "own"'
         in message
     )
     for name in (case, case / "case.toml"):
         assert main(["report", str(name)]) == 2
         assert (
-            f"this case has no run yet; `snapo solve {name}` makes one." in capsys.readouterr().err
+            f"this case has no run yet; `snapo solve {name}` computes one."
+            in capsys.readouterr().err
         )
     book = case.parent / "book.toml"
     book.write_text('kind = "book"\n')
@@ -194,7 +195,8 @@ def test_compare_says_what_differs(fake, case, tmp_path, capsys):
     )
     assert main(["compare", first, second]) == 2
     assert (
-        'is a run of kind "fake"; only runs of one kind can be compared' in capsys.readouterr().err
+        'is a run of kind "fake"; only runs of the same kind can be compared'
+        in capsys.readouterr().err
     )
 
 

@@ -63,4 +63,4 @@ def test_two_packages_with_the_same_kind(monkeypatch):
     twice = [EntryPoint("fake", value, domains.GROUP) for value in ("one:A", "two:B")]
     monkeypatch.setattr(domains, "entry_points", lambda group: twice)
     domains.installed.cache_clear()
-    assert "two packages provide this kind: one:A and two:B" in message("fake", "case.toml")
+    assert "two packages provide the same kind: one:A and two:B" in message("fake", "case.toml")

@@ -160,7 +160,9 @@ def test_a_file_of_another_form_is_a_missing_result(tmp_path):
 def test_a_run_without_a_policy_says_why(tmp_path):
     assert "--resume" in str(training.no_policy(tmp_path, {}))
     record = {"about": {"left_out": ["training"]}}
-    assert "`[report] parts` leave out the training" in str(training.no_policy(tmp_path, record))
+    assert "`[report] parts` do not include the training" in str(
+        training.no_policy(tmp_path, record)
+    )
 
 
 def test_sections_of_a_whole_run(tmp_path):

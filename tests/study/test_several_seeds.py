@@ -91,7 +91,7 @@ def test_the_table_is_kept_printed_and_shown(two, run, capsys):
     assert (found["worst"], found["highest"]) == (min(values), max(values))
     lines = (run / "seeds.csv").read_text().splitlines()
     assert lines[0].startswith("seed,value,standard_error") and len(lines) == 3
-    assert "on other paths, not used for that choice" in result["notes"][0]
+    assert "from other paths, which were not used for this choice" in result["notes"][0]
     page = (run / "report.html").read_text(encoding="utf-8")
     assert "Between seeds" in page and "on other paths" in page
     assert commands.report(run / "seeds" / "0").exists()

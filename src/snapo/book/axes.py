@@ -1,4 +1,4 @@
-"""The axes of a book: other values for keys of its cases, over a grid, over Sobol points, or both.
+"""The axes of a book: other values for keys of its cases, on a grid, at Sobol points, or both.
 
 A number takes the unit that the case has at its key: 20 is "20 degC" where the case has "5 degC".
 """
@@ -25,7 +25,7 @@ NUMBER = r"[+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?"
 WITH_UNIT = re.compile(rf"({NUMBER})\s*(\S.*)", re.ASCII)
 RANGE = re.compile(rf"\s*({NUMBER})\s*:\s*({NUMBER})\s*(?::\s*([^\s:]+)\s*)?(.*)", re.ASCII)
 MAX_POINTS = 100_000
-VALUES = 'numbers, or "5:35:7", seven of them from 5 to 35'
+VALUES = 'numbers, or "5:35:7" for seven numbers from 5 to 35'
 SCALARS = (bool, int, float, str, datetime.date)
 
 
@@ -36,7 +36,7 @@ class AxisTable(CaseTable):
     values: str | list[bool | float | str | datetime.date] = doc("values of the key", "", VALUES)
     range: str = doc("range of Sobol points", "", 'first and last number of Sobol points, "5:35"')
     sobol: int | None = doc(
-        "number of Sobol points", None, "how many Sobol points, 1 or more", ge=1, le=MAX_POINTS
+        "number of Sobol points", None, "a number of Sobol points, 1 or more", ge=1, le=MAX_POINTS
     )
 
 
@@ -48,7 +48,8 @@ class AxisValue(NamedTuple):
 
     @classmethod
     def of(cls, value: Any, unit: str = "") -> "AxisValue":
-        """`unit`: the unit that was written after the numbers of the axis."""
+        """Makes a value of an axis; `unit`: the unit that was written after the numbers of the
+        axis."""
         if isinstance(value, str):
             return cls(value, value)
         text = one_value(value) if isinstance(value, bool | datetime.date) else f"{value:.12g}"
@@ -66,7 +67,8 @@ AxisPoint = tuple[AxisValue, ...]  # a value of every axis
 
 
 class Design(NamedTuple):
-    """The axes of a book, and the points at which its contracts are valued (one without axes)."""
+    """The axes of a book, and the points at which its contracts are valued (one point if there are
+    no axes)."""
 
     axes: tuple[Axis, ...] = ()
     points: tuple[AxisPoint, ...] = ((),)
@@ -76,12 +78,13 @@ class Design(NamedTuple):
         return {axis.label: value.text for axis, value in zip(self.axes, point)}
 
     def settings(self, tables: Mapping[str, Any], point: AxisPoint) -> list[tuple[str, str]]:
-        """(key, value as TOML) of a point, with the units of these tables of a case."""
+        """The pairs (key, value as TOML) of a point, with the units that these tables of a case
+        have."""
         return [(axis.key, _toml(tables, axis.key, x)) for axis, x in zip(self.axes, point)]
 
 
 def number_of(text: str) -> float | None:
-    """The number in the text of a value, also with a unit; None if there is none."""
+    """The number in the text of a value, with or without a unit; None if there is no number."""
     match = re.match(NUMBER + r"(?=\s|$)", text, re.ASCII)
     return float(match[0]) if match else None
 
@@ -131,7 +134,7 @@ def read_design(
 
 
 def _labels(keys: Sequence[str], columns: Collection[str]) -> list[str]:
-    """The shortest last part of each key that no other key and no column has, and no number is."""
+    """For each key, the shortest last part that no other key or column has; it is no number."""
     labels = list[str]()
     for key in keys:
         parts = key.split(".")
@@ -213,11 +216,11 @@ def _values(file: str, where: str, values: str | list[Any]) -> list[AxisValue]:
 
 
 def spaced(file: str, where: str, text: str) -> Iterator[AxisValue]:
-    """The numbers of "5:35:7".
+    """The numbers that a text such as "5:35:7" describes.
 
     **Raises:** `CaseError` if the text does not have this form.
     """
-    allowed = 'first, last and how many values, 2 or more: "5:35:7"'
+    allowed = 'the first and the last number, and how many values, 2 or more: "5:35:7"'
     match = RANGE.fullmatch(text)
     if match is None or match[3] is None:
         raise CaseError(file, where, text or None, allowed)
@@ -233,7 +236,7 @@ def spaced(file: str, where: str, text: str) -> Iterator[AxisValue]:
 
 
 def _as_step(first: float, last: float, step: str) -> str:
-    """What to write where the third number was meant as a step."""
+    """The range to write if the third number was meant as a step."""
     number = number_of(step)
     if not number or not 1 <= (last - first) / number < MAX_POINTS:
         return ""

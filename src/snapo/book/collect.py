@@ -25,11 +25,11 @@ TOGETHER = 32
 
 @dataclass
 class BookPosition:
-    """All points of a contract in the book.
+    """The results of a contract in the book, at all its points.
 
     - `points`: {stress: its point, with the cost and the shape of its result}.
     - `labels`: {stress: {label of an axis: the text of its value}}.
-    - `world`: equal for contracts whose path p is the same scenario.
+    - `world`: a text that is equal for two contracts if all their paths have the same scenarios.
     """
 
     contract: BookContract
@@ -44,7 +44,7 @@ class BookPosition:
 
     @property
     def worst(self) -> BookPoint:
-        """A point that failed, if there is one."""
+        """A point that failed; None if all points have a value."""
         return next((p for p, _, _ in self.points.values() if p.status != "ok"), self.base)
 
 
@@ -57,7 +57,7 @@ def _read(
 
 
 def reader(folder: BookFolder, lost: Mapping[str, str]) -> ResultReader:
-    """Reads the result of the job with this name; `lost`: {job: the reason}."""
+    """Returns a function that reads the result of a job by its name; `lost`: {job: the reason}."""
 
     def read(name: str) -> JobResult | None:
         entry = _read(folder, lost, name)
@@ -187,7 +187,8 @@ class Results:
                 self.deltas.add(key, contract.quantity * blocks)
 
     def _add_points(self, member: BookPosition, shares: Mapping[str, np.ndarray | None]) -> None:
-        """Adds a contract to the points of the axes: at its labels, or at those of stresses."""
+        """Adds a contract to the points of the axes, which are its own labels or the labels of its
+        stresses."""
         axes = [axis.label for axis in self.book.axes]
         for stress, (point, _, _) in member.points.items():
             of_stress = member.labels.get(stress, {})
@@ -202,7 +203,7 @@ class Results:
             entry.notes.append(point.note)
 
     def table(self) -> dict[str, Any]:
-        """The content of result.json without the cost of the run."""
+        """The content of result.json, except the cost of the run."""
         stresses = [stress.name for stress in self.book.stresses]
         names = [BASE, *stresses]
         failed_count = sum(count for status, count in self.cases.items() if status != "ok")
@@ -230,9 +231,9 @@ class Results:
                 for at, entry in self.points.items()
             ],
             "notes": [
-                f"contracts of the market {market or 'of the book'} are not valued on common paths "
-                "(jumps with several starts, or quasi-random points with several ends): the "
-                "errors of their sums are not known"
+                f"contracts of the market {market or 'of the book'} are not valued on common "
+                f"paths (jumps with several starts, or quasi-random points with several ends), so "
+                f"their sums have no errors"
                 for market in self.total.shares
                 if not self.total.is_common(market)
             ],
@@ -270,14 +271,14 @@ def _sum_row(stress: str, total: Sum | None, explained: float | None = None) -> 
 
 
 def explained(base: BookPoint, point: BookPoint) -> float:
-    """The change that the held derivatives of the base explain, per unit of the contract."""
+    """The change of value that the held derivatives at the base explain, for one contract."""
     sums = {delta.input: delta.blocks.mean(0) for delta in base.deltas}
     return sum(float(sums[name] @ x) for name, x in point.changes.items() if name in sums)
 
 
 def tables(member: BookPosition) -> dict[str, TableRows]:
-    """The rows of a contract in every table; values, changes, derivatives and shares are those of
-    the position: times its quantity."""
+    """The rows of a contract in every table; values, changes, derivatives and shares are multiplied
+    by the quantity of the contract."""
     contract, base = member.contract, member.base
     head = {"case": contract.name, "market": contract.market}
     values, deltas, shares, outputs, exposure = ([] for _ in TABLES)

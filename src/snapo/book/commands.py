@@ -83,8 +83,8 @@ def sweep(
 ) -> dict[str, Any]:
     """Values a case at all points of some axes, as a book; see `run_book`.
 
-    - `assignments`: as in `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes, "KEY=5:35" is one of
-      `sobol` points.
+    - `assignments`: as in `--set`; "KEY=5:35:7" and "KEY=1,2,5" are axes of values, "KEY=5:35" is
+      an axis of `sobol` Sobol points.
     - `train`: whether each point trains its policy; otherwise the policy of the case decides at all
       points.
 
@@ -159,7 +159,7 @@ def sweep_book(
 
 
 def _axes(assignments: Sequence[str], sobol: int | None) -> tuple[list[dict[str, Any]], list[str]]:
-    """The tables of the axes among some assignments, and the others."""
+    """The tables of those assignments that are axes, and the other assignments."""
     entries, fixed = list[dict[str, Any]](), list[str]()
     for text in assignments:
         key, _, written = (part.strip() for part in text.partition("="))
@@ -203,9 +203,9 @@ def _read_at(
 
 
 def check(path: Path) -> list[str]:
-    """A book in a few lines: contracts, jobs, shapes, and expected processor time.
+    """Describes a book in a few lines: contracts, jobs, shapes, and expected processor time.
 
-    **Raises:** `CaseError` for every mistake in the book, in its contracts, and in its stresses of
+    **Raises:** `CaseError` for every mistake in the book, in its contracts, and in the stresses of
     the first contract of each template and market.
     """
     book = read_book(path)
@@ -222,7 +222,7 @@ def check(path: Path) -> list[str]:
         - len(plan.adopting) * OF_A_TRAINING
     )
     repeated = len(book.contracts) - distinct
-    same = f", of which {repeated:,} repeat the case of another one" if repeated else ""
+    same = f", of which {repeated:,} repeat the case of another contract" if repeated else ""
     markets = sorted({contract.market for contract in book.contracts} - {""})
     return [
         f"{book.title}: {counted(len(book.contracts), 'contract')}{same}, "
@@ -231,8 +231,8 @@ def check(path: Path) -> list[str]:
         f"{counted(plan.size, 'job')}; {counted(1 + stresses, 'point')} for each contract",
         f"shapes of contracts: about {shapes:,}; contracts whose derivatives are tested by "
         f"bumps: {judged:,}",
-        f"expected: {_duration(seconds)} of processor time, if the contracts are gas stores of a "
-        "year",
+        f"expected: {_duration(seconds)} of processor time, if all contracts are gas stores of "
+        f"one year",
     ]
 
 
@@ -240,7 +240,7 @@ MAX_MISTAKES = 10  # that are named in one message
 
 
 def _check_contracts(plan: BookPlan) -> None:
-    """Reads every contract as a worker does."""
+    """Reads every contract in the same way as a worker."""
     mistakes, stressed = dict[tuple[str, str], CaseError](), set[Any]()
     for contract, job in plan.distinct:
         with tempfile.TemporaryDirectory(prefix="snapo-book-") as folder:
@@ -273,7 +273,7 @@ def _check_stresses(contract: JobContract, stresses: Sequence[BookStress]) -> No
 
 
 def _locate(error: CaseError, book: Book, contract: BookContract, folder: str) -> None:
-    """Names the file of the user with the mistake instead of the worker's copy of it."""
+    """Replaces the worker's copy of a file by the user's file in the message."""
     origin, key = contract.origin, error.where
     if origin is None or error.file in {stress.file for stress in book.stresses}:
         return
@@ -304,7 +304,7 @@ def _duration(seconds: float) -> str:
 
 
 def report(path: Path) -> Path:
-    """Writes the report of a book's folder again; returns its path."""
+    """Writes the report in a book's folder again; returns the path of the report."""
     from snapo.report.page import render
 
     from .report import page
@@ -316,7 +316,7 @@ def report(path: Path) -> Path:
 
 
 def summary(result: Mapping[str, Any]) -> str:
-    """The result for a reader."""
+    """The result as text for the terminal."""
     jobs = result["orders"]
     counts = f"{counted(jobs['computed'], 'job')} computed, {jobs['reused']:,} reused"
     lines = [f"book: {result['status']}; ± is half of a 95 % interval, simulation error only"]
@@ -339,7 +339,7 @@ def summary(result: Mapping[str, Any]) -> str:
         lines += [f"{x['case']} under {x['stress']}: {x['note']}" for x in result["failures"][:5]]
     else:
         number, count = result["shard"]
-        counts += f"; part {number} of {count}: others are still missing"
+        counts += f"; this is part {number} of {count}: other parts are still missing"
     lines.append(f"{counts}, {result['seconds']['total']:,.1f} s")
     if "sums" in result:
         lines.append(f"report: {Path(result['run']) / REPORT}")
@@ -347,7 +347,7 @@ def summary(result: Mapping[str, Any]) -> str:
 
 
 def _table_of_points(result: Mapping[str, Any]) -> list[str]:
-    """A line for each point of the axes, the values of a column below one another."""
+    """A table with a line for each point of the axes."""
     rows = result["points"][:MAX_LINES]
     table = [[*rows[0]["at"], "value", "", "change"]]
     for row in rows:
@@ -369,5 +369,5 @@ def _plus_minus(error: float | None) -> str:
 
 
 def _worst(rows: list[dict[str, Any]]) -> list[dict[str, Any]]:
-    """The ten that lose most, and before them those without a value."""
+    """The ten worst stresses: first those without a value, then those with the largest losses."""
     return sorted(rows, key=lambda x: -math.inf if x["change"] is None else x["change"])[:10]

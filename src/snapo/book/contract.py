@@ -1,4 +1,4 @@
-"""The contract of a job: its files, its case, and the case under a stress."""
+"""The contract of a job: its files, its case, and its case under a stress."""
 
 import tomllib
 from collections.abc import Callable, Iterator, Mapping
@@ -19,7 +19,8 @@ from .stress import StressMove, check_tables, moved_numbers
 
 
 class JobContract:
-    """The contract of a job: its case, and its case under a stress; `folder`: for its files.
+    """The contract of a job: its case, and its case under a stress; `folder`: where its files are
+    written.
 
     **Raises:** `CaseError` for a case that cannot be read.
     """
@@ -37,7 +38,7 @@ class JobContract:
         self.study: Study = self.domain.study(self.case, Options())
 
     def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
-        """The case under a stress; `inputs`: those of the unstressed case."""
+        """The case under a stress; `inputs`: the inputs of the unstressed case."""
         check_tables(moves, self.tables)
         settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
         tables, case = self.tables, self.case

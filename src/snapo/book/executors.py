@@ -1,4 +1,4 @@
-"""Executors, which compute jobs: processes of this machine, Dask, Ray, or any executor.
+"""Executors, which compute jobs: processes of this machine, Dask, Ray, or a user's executor.
 
 snapo starts no cluster: it joins one. Anyone who can reach the port of a scheduler can run code
 there: an address outside this machine needs TLS (Dask) or a token (Ray), or `--trust-network`.
@@ -25,9 +25,10 @@ IN_FLIGHT = 1000  # jobs that an executor of others has at most: it shares them 
 def worker_pools(
     where: str, workers: int | None = None, trust_network: bool = False
 ) -> list[WorkerPool]:
-    """The places of `--on WHERE`; "" is this machine, with one process for each core.
+    """The places where jobs run, from `--on WHERE`; "" is this machine, with one process for each
+    core.
 
-    **Raises:** `CaseError` if there is no such place, or its network is open.
+    **Raises:** `CaseError` if there is no such place, or if its network is open to others.
     """
     if not where:
         return _processes(workers)
@@ -52,8 +53,8 @@ def _process(core: int) -> Executor:
 
 
 def _started(core: int) -> None:
-    """A worker keeps to one core, for its kernels and for XLA, keeps its memory, and ends with its
-    driver: if that is killed, nothing else would end it."""
+    """A worker uses one core for its kernels and for XLA, does not return its memory to the system,
+    and ends with its driver, because nothing else would end it if the driver is killed."""
     from snapo.study.prepare import keep_memory
 
     if (driver := multiprocessing.parent_process()) is not None:
@@ -69,7 +70,7 @@ def _end_with(driver: Any) -> None:
 
 
 def _named(where: str) -> list[WorkerPool]:
-    """The executors of MODULE:FACTORY: the factory returns one, or several."""
+    """The executors of MODULE:FACTORY; the factory returns one executor or several."""
     module, _, name = where.partition(":")
     sys.path.insert(0, os.getcwd())
     try:
@@ -131,7 +132,7 @@ def _ray(address: str, trust_network: bool) -> WorkerPool:
 
 
 class RayExecutor:
-    """Ray as an executor: Ray does not provide one itself (ray issue 29456)."""
+    """Ray as an executor of `concurrent.futures`, which Ray does not provide (ray issue 29456)."""
 
     def __init__(self):
         import ray  # pyright: ignore[reportMissingImports]

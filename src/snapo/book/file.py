@@ -51,14 +51,16 @@ class CasesTable(CaseTable):
         "case that is copied for every contract", "",
         'the folder of a case, relative to the book: "store"',
     )  # fmt: skip
-    files: str = doc("cases of the book", "", 'cases by a pattern, "contracts/*/case.toml"')
+    files: str = doc("cases of the book", "", 'a pattern of paths, "contracts/*/case.toml"')
     table: str = doc(
-        "contracts, each a row with a copy of the template",
+        "contracts: each row changes a copy of the template",
         "",
         'the CSV of the contracts, "contracts.csv"',
     )
     by: list[str] = doc(
-        "labels by which values are summed", [], "columns of the table by which values are summed"
+        "labels by which values are summed",
+        [],
+        "columns of the table; contracts with equal labels are summed",
     )
 
 
@@ -66,7 +68,7 @@ class BookMarketTable(CaseTable):
     """`[markets.NAME]`"""
 
     file: str = doc(
-        "market of contracts, instead of their own",
+        "market of contracts, which replaces their own market and model",
         allowed="a TOML file with [market], and [model] if it has one",
     )
 
@@ -75,19 +77,19 @@ class TasksTable(CaseTable):
     """`[tasks]`"""
 
     policy: Literal["contract", "stress", "shape"] = doc(
-        "policies that are trained: one for each contract, for each stress, or for similar "
+        "policies to train: one for each contract, one for each stress, or one for similar "
         "contracts together",
         "contract",
     )
     deltas: Literal["base", "all", "none"] = doc(
-        "which values have derivatives: the unstressed ones, all, or none", "base"
+        "values that have derivatives: the unstressed values, all values, or none", "base"
     )
     judge: Annotated[float, Range(0, 1)] = doc(
         "share of the contracts whose derivatives are tested by bumps", 0.1
     )
-    paths: Annotated[int, Range(64, 2**24)] = doc("paths of a value", 16384)
+    paths: Annotated[int, Range(64, 2**24)] = doc("number of paths for a value", 16384)
     exposure: bool = doc(
-        "whether the mean of every output by day is computed, without stresses", True
+        "whether to compute the mean of every output by day at the unstressed point", True
     )
 
 
@@ -96,7 +98,7 @@ class RunTable(CaseTable):
 
     seed: Annotated[int, Range(0, 2**32 - 1)] = doc("seed of all contracts", 0)
     processor: Literal["", "x86-64-v2", "x86-64-v3", "x86-64-v4"] = doc(
-        "processor for which all workers compile, by default that of this machine", ""
+        "processor for which all workers compile; by default the processor of this machine", ""
     )
 
 
@@ -110,7 +112,7 @@ class BookTable(CaseTable):
     axis: list[dict[str, Any]] = doc(
         "grid of contracts, one for every combination of values", [], "tables [[axis]]"
     )
-    stress: list[dict[str, Any]] = doc("other numbers for all contracts", [], "tables [[stress]]")
+    stress: list[dict[str, Any]] = doc("stresses of all contracts", [], "tables [[stress]]")
     tasks: dict[str, Any] = doc("tasks of the book", {}, "a table")
     run: dict[str, Any] = doc("seed and processor", {}, "a table")
 
@@ -127,8 +129,8 @@ FORMATS = {
 
 
 class Origin(NamedTuple):
-    """Where the numbers of a contract are: the file of its case, the row of the table that changes
-    it, and the file of its market; None if it has none."""
+    """The files with the numbers of a contract: the file of its case, the row of the table that
+    changes it (None if there is none), and the file of its market (None if it has no market)."""
 
     case: Path
     row: Row | None = None
@@ -137,9 +139,9 @@ class Origin(NamedTuple):
 
 @dataclass(frozen=True)
 class BookContract:
-    """A case of the book.
+    """A contract of the book, which is a case.
 
-    - `quantity`: the number of these contracts in the book; negative: sold.
+    - `quantity`: the number of these contracts in the book; a negative number means sold contracts.
     - `tables`: the tables of the case after all changes; `files`: {name: content} of the files that
       they name.
     - `labels`: {column: text} of its row.
@@ -157,7 +159,7 @@ class BookContract:
 
 @dataclass(frozen=True)
 class Book:
-    """A book that was read."""
+    """The content of a book's file."""
 
     file: Path
     title: str
@@ -183,7 +185,7 @@ def read_book(path: Path) -> Book:
     markets = {name: _market(file, name, entry) for name, entry in table.markets.items()}
     contracts = tuple(_contracts(context, cases, markets))
     if not contracts:
-        raise context.error("table", cases.table or cases.files, "it has no contract")
+        raise context.error("table", cases.table or cases.files, "the book has no contract")
     if taken := [column for column in contracts[0].labels if column in RESERVED]:
         message = "the results have a column of this name; rename the column of the table"
         raise context.error("table", taken[0], message)
@@ -197,7 +199,7 @@ def read_book(path: Path) -> Book:
     stresses = tuple(read_stresses(file, table.stress))
     for stress in stresses:
         if stress.name == BASE:
-            message = "this is the name of the unstressed point; rename the stress"
+            message = "this name means the unstressed point; rename the stress"
             raise CaseError(stress.file, f"{stress.where}, name", BASE, message)
     _check_names(((x.file, x.where), x.name, "stresses") for x in stresses)
     for column in cases.by:
@@ -209,13 +211,14 @@ def read_book(path: Path) -> Book:
 
 
 def _position(file: Path, contract: BookContract) -> tuple[str, str]:
-    """The file of a contract's name, and where it is."""
+    """The file with the name of a contract, and the position of the name in it."""
     row = None if contract.origin is None else contract.origin.row
     return (str(file), "cases") if row is None else (row.file, f"line {row.line}")
 
 
 def _check_names(entries: Iterable[tuple[tuple[str, str], str, str]]) -> None:
-    """**Raises:** `CaseError` for a name that two have; `entries`: position, name, and the noun."""
+    """**Raises:** `CaseError` for a name that occurs twice; `entries`: position, name, and the
+    noun."""
     first = dict[str, tuple[str, str]]()
     for position, name, noun in entries:
         if name in first:
@@ -251,7 +254,7 @@ def _market(file: Path, name: str, entry: Mapping[str, Any]) -> MarketFiles:
 
 
 def _in_folder(file: Path, where: str, name: str) -> Path:
-    """A path of the book, which must lie in its folder or below it."""
+    """A path that the book names, which must lie in the folder of the book or below it."""
     path = file.parent / name
     if not path.exists() or not path.resolve().is_relative_to(file.parent.resolve()):
         raise CaseError(str(file), where, name, "it must be a path in the folder of the book")
@@ -259,7 +262,7 @@ def _in_folder(file: Path, where: str, name: str) -> Path:
 
 
 def contents(folder: Path, tables: Mapping[str, Any]) -> dict[str, bytes]:
-    """{name: content} of the files that a case of this folder, with these tables, may name."""
+    """{name: content} of the files in this folder that a case with these tables may name."""
     files = [item for item in case_files(folder) if item.suffix != ".toml"]
     return {x.name: x.read_bytes() for x in [*files, *tables_named(folder, tables)]}
 
@@ -269,7 +272,9 @@ def _contracts(
 ) -> Iterator[BookContract]:
     file = context.file
     if bool(cases.template) == bool(cases.files):
-        raise context.error("template", cases.template, "specify either a template or files")
+        raise context.error(
+            "template", cases.template, "specify either a template or files, not both"
+        )
     if cases.files:
         paths = sorted(file.parent.glob(cases.files))
         for path in paths:
@@ -295,8 +300,8 @@ def _contracts(
 
 
 def _check_columns(name: str, rows: Sequence[Row]) -> None:
-    """**Raises:** `CaseError` for a column that is almost called like one with a meaning, which
-    would count as a label, or that has cells without a name."""
+    """**Raises:** `CaseError` for a column without a name but with cells, and for one whose name is
+    close to a column that has a meaning, as it would be taken for a label."""
     for column in rows[0].cells:
         close = get_close_matches(column, ROW_COLUMNS, n=1, cutoff=0.8)
         unnamed = not column and any(row.cells[column] for row in rows)
@@ -308,7 +313,7 @@ def _check_columns(name: str, rows: Sequence[Row]) -> None:
 
 
 def _of_row(context, row: Row, tables, contents, markets, origin: Origin) -> BookContract:
-    """The template with the values of a row: columns with a point are keys."""
+    """The template with the values of a row; columns whose name has a point are keys."""
     labels = {column: text for column, text in row.cells.items() if column not in ("name", "")}
     keys = [column for column in labels if "." in column and labels[column] != ""]
     try:
@@ -365,7 +370,7 @@ def _contract(
 
 
 def along(design: Design, contracts: Sequence[BookContract]) -> Iterator[BookContract]:
-    """Every contract at every point of the axes; their values are labels too."""
+    """Every contract at every point of the axes; the values of the axes are also labels."""
     for contract in contracts:
         for point in design.points:
             labels = design.labels(point)

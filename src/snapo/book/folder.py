@@ -1,4 +1,4 @@
-"""The folder of a book: results of jobs, and the tables that are made from them.
+"""The folder of a book: the results of its jobs, and the tables made from them.
 
 book.json           the book: its contracts, stresses and tasks, and versions
 answers/            the results by the hash of their jobs, each written whole or not at all
@@ -35,7 +35,7 @@ LAYOUT = 1
 
 
 class BookRecord(NamedTuple):
-    """Tables of book.json: the axes of a sweep (a book has none), and the versions."""
+    """Tables of book.json: the axes of a sweep (other books have none), and the versions."""
 
     axes: Sequence[Mapping[str, str]] = ()
     versions: Mapping[str, str] = EMPTY
@@ -51,7 +51,8 @@ class BookResult(NamedTuple):
 
 
 class StressSum(NamedTuple):
-    """The sum of the book under a stress, and its change, in part explained by derivatives."""
+    """The sum of the book under a stress, its change, and the part of the change that derivatives
+    explain."""
 
     stress: str = ""
     value: float | None = None
@@ -63,7 +64,7 @@ class StressSum(NamedTuple):
 
 
 class JsonTable(BaseModel):
-    """A table of a file that the report reads; further keys are ignored."""
+    """A table of a file that the report reads; other keys are ignored."""
 
     model_config = ConfigDict(strict=True)
 
@@ -135,7 +136,7 @@ class DeltaForm(JsonTable):
 
 
 class LossForm(JsonTable):
-    """A test of a shared policy."""
+    """A test of a shared policy: the loss of one contract."""
 
     case: str
     value: float
@@ -200,12 +201,12 @@ class BookFolder:
         self.path = path
 
     def prepare(self, record: Mapping[str, Any], keep: bool) -> None:
-        """Prepares the folder; `keep`: its results remain.
+        """Prepares the folder; `keep`: whether its results remain.
 
-        **Raises:** `CaseError` if it cannot be written, or contains something else.
+        **Raises:** `CaseError` if it cannot be written, or contains other files.
         """
         if self.path.exists() and not (self.path / BOOK).exists() and any(self.path.iterdir()):
-            message = "this folder has other files; it must be empty, or the folder of a book"
+            message = "this folder has other files; it must be empty or the folder of a book"
             raise CaseError(str(self.path), "", None, message)
         if not keep:
             for name in (ANSWERS, POLICIES, *TABLES):
@@ -217,26 +218,24 @@ class BookFolder:
         write_text(self.path / BOOK, json.dumps(table, indent=1, default=str))
 
     def record(self) -> dict[str, Any]:
-        """The content of book.json.
-
-        **Raises:** `CaseError` if there is none, or it is damaged, or of another version.
+        """The content of book.json. **Raises:** `CaseError` if it is missing, damaged, or of
+        another version.
         """
         table = self._json(BOOK, "this is not the folder of a book")
         layout = table.get("layout") if isinstance(table, dict) else None
         if layout != LAYOUT:
-            message = f"it must be {LAYOUT}; this file is damaged, or of another version: {AGAIN}"
+            message = f"it must be {LAYOUT}; this file is damaged or of another version: {AGAIN}"
             raise CaseError(str(self.path / BOOK), "layout", layout, message)
         return self._checked(BOOK, table, RecordForm)
 
     def result(self) -> dict[str, Any]:
-        """The content of result.json.
-
-        **Raises:** `CaseError` if there is none, or it is damaged, with the key.
+        """The content of result.json. **Raises:** `CaseError` if it is missing or damaged; the
+        message names the key.
         """
-        message = "this book has no results yet: snapo book BOOK --resume computes the rest"
+        message = "this book has no results yet: snapo book BOOK --resume computes them"
         table = self._checked(RESULT, self._json(RESULT, message), ResultForm)
         if not any(row["stress"] == "base" for row in table["sums"]):
-            message = f"one row must be that of the stress base: {AGAIN}"
+            message = f"one row must have the stress base: {AGAIN}"
             raise CaseError(str(self.path / RESULT), "sums", None, message)
         return table
 
@@ -256,7 +255,7 @@ class BookFolder:
             raise CaseError(str(self.path / name), where[1:], value, message) from None
 
     def _json(self, name: str, missing: str) -> Any:
-        """The content of a file of JSON; `missing`: the message where it is not there."""
+        """The content of a JSON file; `missing`: the message if there is no such file."""
         file = str(self.path / name)
         try:
             return json.loads((self.path / name).read_text(encoding="utf-8"))
@@ -266,7 +265,7 @@ class BookFolder:
             raise CaseError(file, "", None, f"it cannot be read ({error.strerror})") from None
         except UnicodeDecodeError as error:
             raise CaseError(
-                file, "", None, f"{not_utf8(error)}, or make it again: {AGAIN}"
+                file, "", None, f"{not_utf8(error)}, or write it again: {AGAIN}"
             ) from None
         except (ValueError, RecursionError) as error:
             line = f"line {error.lineno}" if isinstance(error, json.JSONDecodeError) else ""

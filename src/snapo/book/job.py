@@ -1,4 +1,4 @@
-"""A job: one contract with some of the book's stresses, as bytes; and its result, as bytes.
+"""A job, which is one contract with some of the book's stresses, and its result; both as bytes.
 
 The result depends on nothing but the job. A job has neither the contract's name nor its
 quantity, so that contracts with equal cases are computed once; its name is the hash of its bytes.
@@ -33,18 +33,18 @@ BATCHES = 512  # of paths, whose shares are kept
 
 @dataclass(frozen=True)
 class BookJob:
-    """The task of a worker: one contract with some stresses.
+    """The work of a worker: one contract with some stresses.
 
     - `case`: the text of case.toml; `files`: {name: content} of the files that it names.
     - `stresses`: the moves of each stress.
     - `tasks`: the tasks of the book; `seed`: the seed of training and paths.
     - `base`: whether the unstressed point is computed too, before the stresses.
-    - `judged`: whether bumps test the derivatives. If not, they test those with respect to the
-      inputs `bumped`, each of which a bump refuted in a similar contract.
-    - `policy`: the file of a trained policy. With None the job trains its policy, for the base or,
-      if a policy is trained for each stress, for its only stress.
-    - `adopted`: the file of the policy of a similar contract, whose trained numbers the base
-      takes, so that it needs no training.
+    - `judged`: whether bumps test all derivatives. If not, they test the derivatives with respect
+      to the inputs `bumped`, because a bump refuted these in a similar contract.
+    - `policy`: the file of a trained policy. If it is None, the job trains a policy: for the base
+      or, if a policy is trained for each stress, for its only stress.
+    - `adopted`: the file of the policy of a similar contract; the base uses its trained numbers and
+      needs no training.
     - `processor`: the target of compiled code, "" for the processor of the worker; `fingerprint`:
       the fingerprint of the processors that give bit-identical results.
     """
@@ -64,7 +64,7 @@ class BookJob:
 
     @classmethod
     def of(cls, contract: BookContract, tasks: TasksTable, seed: int, **more: Any) -> "BookJob":
-        """The job of a contract; `more`: its other fields, by default without stresses."""
+        """The job of a contract; `more`: other fields of the job, by default without stresses."""
         fields = {"stresses": (), **more}
         report = contract.tables.get("report", {})
         numbers = {key: value for key, value in report.items() if key not in TEXTS}
@@ -144,7 +144,7 @@ class BookPoint(NamedTuple):
     - `changes`: {input: [n] its numbers minus those of the base}, for the inputs that a stress
       moves.
     - `deltas`: held derivatives with respect to the inputs, if the book asks for them.
-    - `outputs`: the totals of the paths; `exposure`: the outputs by day.
+    - `outputs`: statistics of the totals of the paths; `exposure`: the mean outputs by day.
     """
 
     status: str
@@ -168,8 +168,8 @@ class OutputFigures(NamedTuple):
 
     - `value`, `standard_error`: its mean and the error of the mean; `deviation`, `p05`, `p95`: the
       standard deviation and quantiles between paths.
-    - `nominal`: its value at the set point of a process; `within`: the share of batches within its
-      limits. Both are None for other outputs.
+    - `nominal`: the value of a quality attribute at the set point of the process; `within`: the
+      share of batches within its limits. Both are None for the outputs of a simulator.
     """
 
     name: str
@@ -207,9 +207,9 @@ class OutputFigures(NamedTuple):
 class Delta(NamedTuple):
     """The held derivatives with respect to the `n` numbers of one input.
 
-    - `labels`, `unit`: those of the input; `blocks`: [32 to 64, n] the derivatives on independent
-      blocks of paths.
-    - `trusted`: whether no bump of the input refuted them; None if none was made.
+    - `labels`, `unit`: the labels and the unit of the input; `blocks`: [32 to 64, n] the
+      derivatives on independent blocks of paths.
+    - `trusted`: whether no bump of the input refuted the derivatives; None if there was no bump.
     """
 
     input: str
@@ -220,7 +220,7 @@ class Delta(NamedTuple):
 
     @classmethod
     def of_table(cls, table: Sensitivities | None) -> "tuple[Delta, ...]":
-        """The held derivatives of a table; none if there is no table."""
+        """The held derivatives of a table; empty if there is no table."""
         if table is None:
             return ()
         verdicts = table.verdicts or {}
@@ -255,7 +255,8 @@ class JobResult(NamedTuple):
     - `points`: the base first, if the job has one, then the points of its stresses.
     - `policy`: the file of the trained policy; `shape`: the hash of everything for which code is
       compiled.
-    - `world`: equal for results whose path p is the same scenario (`Scenarios.world`).
+    - `world`: a text that is equal for two results if all their paths have the same scenarios
+      (`Scenarios.world`).
     """
 
     points: tuple[BookPoint, ...]
@@ -318,10 +319,10 @@ def _point(i: int, row: dict[str, Any], arrays: Mapping[str, np.ndarray]) -> Boo
 
 
 class Cost(NamedTuple):
-    """The cost of a result, which is not part of it.
+    """The cost of a result, which is stored apart from it.
 
-    - `cpu_seconds`: the processor seconds of all threads of the worker; `peak_mb`: its peak memory
-      so far.
+    - `cpu_seconds`: the processor time of all threads of the worker, in seconds; `peak_mb`: its
+      peak memory so far, in MB.
     - `worker`: the process and machine of the worker.
     """
 
@@ -347,5 +348,5 @@ def opened(data: bytes) -> tuple[bytes, Cost]:
     except (ValueError, KeyError, TypeError) as error:
         raise ValueError(f"not a result: {error}") from None
     if checksum != name_of(result):
-        raise ValueError("not a whole result")
+        raise ValueError("the result is not complete")
     return result, cost

@@ -15,7 +15,7 @@ NUMBERS = (
 
 
 class TableWriter:
-    """Writes the rows of contracts, those of `together` contracts into one file.
+    """Writes the rows of contracts, with `together` contracts in each file.
 
     A context manager; each file is written completely or not at all.
     """
@@ -76,7 +76,7 @@ def _pyarrow() -> tuple[Any, Any]:
 
 
 def query(path: Path, sql: str) -> tuple[list[str], list[tuple[Any, ...]]]:
-    """Columns and rows of a query on the tables of a book's folder: those of `TABLES`.
+    """The columns and rows that a query on the `TABLES` in a book's folder returns.
 
     **Raises:** `CaseError` if DuckDB is missing, or refuses the query.
     """

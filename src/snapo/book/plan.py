@@ -1,12 +1,12 @@
-"""The plan of a book: which jobs its contracts need, and in which sequence.
+"""The plan of a book: the jobs that its contracts need, and their sequence.
 
-The base of a contract is ordered first; its policy is part of the jobs of its other stresses.
+The base of a contract is computed first; its policy is part of the jobs of the contract's stresses.
 Similar contracts come one after the other, so that a worker already has their compiled code.
 
-With `policy = "shape"` the first of similar contracts trains its policy, and so do the next three,
-which are also valued on the same paths with the trained numbers of the first contract. If these
-lose at most 0.5 % of the value of any of the three, all others take them, with their own value
-table, scales and limits; otherwise each contract trains its own policy.
+With `policy = "shape"` the first four of similar contracts train their policies. The second to the
+fourth are also valued, on the same paths, with the trained numbers of the first. If none of these
+three loses more than 0.5 % of its value, all other contracts use these numbers, with their own
+value table, scales and limits. Otherwise every contract trains its own policy.
 """
 
 import json
@@ -33,7 +33,8 @@ ResultReader = Callable[[str], JobResult | None]
 
 
 def similarity_key(contract: BookContract) -> str:
-    """Equal for contracts that probably share compiled code: they differ only in numbers.
+    """A key that is equal for contracts that differ only in numbers, and therefore probably share
+    compiled code.
 
     The key only affects the sequence of jobs; the shape of a result is that of its compiled code.
     """
@@ -62,10 +63,10 @@ def kinds_of(table: Any) -> Any:
 
 
 class PolicyLoss(NamedTuple):
-    """The loss of a tested contract with the policy of the first one.
+    """The loss of a tested contract with the policy of the first contract.
 
-    - `value`: the value with its own policy; `loss`, `loss_error`: this value minus that with the
-      shared policy, on common paths, and the standard error.
+    - `value`: the value with its own policy; `loss`, `loss_error`: this value minus the value with
+      the shared policy on common paths, and the standard error of the difference.
     """
 
     case: str
@@ -80,9 +81,9 @@ class PolicyLoss(NamedTuple):
 
 
 class SharedPolicy(NamedTuple):
-    """The policy of the first of similar contracts, and its loss in the tested ones.
+    """The policy of the first of similar contracts, and the losses of the tested contracts with it.
 
-    - `policy`: its file; None if each contract trains its own.
+    - `policy`: its file; None if every contract trains its own policy.
     """
 
     leader: str
@@ -92,12 +93,13 @@ class SharedPolicy(NamedTuple):
 
 
 def tested(similar: Sequence[BookContract]) -> Sequence[BookContract]:
-    """The contracts that are tested, the second to the fourth; none if no others would gain."""
+    """The contracts that are tested, the second to the fourth; none if there are no further
+    contracts."""
     return similar[1 : 1 + TESTED] if len(similar) > 1 + TESTED else ()
 
 
 def test_job(base: BookJob, policy: bytes) -> BookJob:
-    """The job of a tested contract, with the policy of the first one."""
+    """The job of a tested contract with the policy of the first contract."""
     tasks = base.tasks.model_copy(update={"deltas": "none", "exposure": False})
     return replace(base, stresses=(), judged=False, bumped=(), tasks=tasks, adopted=policy)
 
@@ -128,7 +130,7 @@ def shared_policy(
 
 
 def _loss(name: str, own: BookPoint, shared: BookPoint) -> PolicyLoss:
-    """Not a number where one of the two has no value: then nothing is shared."""
+    """The loss is not a number if one of the two has no value: then no policy is shared."""
     if own.status != "ok" or shared.status != "ok":
         return PolicyLoss(name, own.value, np.nan, np.nan)
     loss = statistics.of_shares(own.shares - shared.shares)
@@ -137,7 +139,7 @@ def _loss(name: str, own: BookPoint, shared: BookPoint) -> PolicyLoss:
 
 @dataclass(frozen=True)
 class BookPlan:
-    """The jobs of a book; `fingerprint` of the processors that may compute them."""
+    """The jobs of a book; `fingerprint`: that of the processors that may compute them."""
 
     book: Book
     fingerprint: str = ""
@@ -153,14 +155,14 @@ class BookPlan:
 
     @property
     def distinct(self) -> Iterator[tuple[BookContract, BookJob]]:
-        """The contracts with different cases, each with a job of it."""
+        """The contracts with different cases, each with one of its jobs."""
         for contract in self.book.contracts:
             if self.first_of_case[contract.name] is contract:
                 yield contract, self._base(contract, False)
 
     @cached_property
     def similar(self) -> dict[str, list[BookContract]]:
-        """{similarity key: contracts}, equal cases once."""
+        """{similarity key: contracts}, where equal cases count once."""
         groups = dict[str, list[BookContract]]()
         for contract in self.book.contracts:
             if self.first_of_case[contract.name] is contract:
@@ -174,7 +176,7 @@ class BookPlan:
 
     @cached_property
     def judged(self) -> set[str]:
-        """The names of the contracts whose derivatives bumps test in any case."""
+        """The names of the contracts whose derivatives are always tested by bumps."""
         share, names = self.book.tasks.judge, set[str]()
         for contracts in self.similar.values():
             count = max(math.ceil(share * len(contracts)), MIN_JUDGED) if share else 0
@@ -183,14 +185,14 @@ class BookPlan:
 
     @cached_property
     def tested(self) -> dict[str, Sequence[BookContract]]:
-        """{similarity key: the contracts that are also valued with the policy of the first one}, if
-        contracts share policies."""
+        """{similarity key: the contracts that are also valued with the policy of the first
+        contract}, if contracts share policies."""
         groups = self.similar.items() if self.book.tasks.policy == "shape" else ()
         return {kind: some for kind, group in groups if (some := tested(group))}
 
     @cached_property
     def awaited(self) -> set[str]:
-        """The names of the contracts whose results similar contracts need."""
+        """The names of the contracts whose results are needed by similar contracts."""
         names = {
             x.name for kind, some in self.tested.items() for x in (self.similar[kind][0], *some)
         }
@@ -198,13 +200,13 @@ class BookPlan:
 
     @cached_property
     def adopting(self) -> set[str]:
-        """The names of the contracts that take the policy of a similar one, unless a test of it
-        fails or a derivative is refuted."""
+        """The names of the contracts that use the policy of a similar contract, unless a test of
+        this policy fails or a derivative is refuted."""
         return {x.name for kind in self.tested for x in self.similar[kind]} - self.awaited
 
     @property
     def size(self) -> int:
-        """The number of jobs of the complete book, equal cases once."""
+        """The number of jobs of the complete book, where equal cases count once."""
         stresses = len(self.book.stresses)
         by_contract = max(1, math.ceil(stresses / STRESSES))
         if self.book.tasks.policy == "stress":
@@ -213,8 +215,8 @@ class BookPlan:
         return by_contract * sum(map(len, self.similar.values())) + tests
 
     def needed(self, contracts: Sequence[BookContract]) -> list[BookContract]:
-        """All contracts whose jobs are needed, equal cases once: first those that similar
-        contracts wait for."""
+        """All contracts whose jobs are needed, where equal cases count once; those for which
+        similar contracts wait come first."""
         first_of_case = {self.first_of_case[contract.name].name for contract in contracts}
         kinds = {self.similarity_keys[name] for name in first_of_case}
         groups = [
@@ -227,8 +229,8 @@ class BookPlan:
     def base(self, contract: BookContract, read: ResultReader) -> BookJob | None:
         """The first job of a contract; None while it waits for similar contracts.
 
-        If a bump refuted a derivative of one of these, bumps test the derivatives with respect to
-        this input in all similar contracts, and each trains its own policy.
+        If a bump refuted a derivative of one of the similar contracts, bumps test the derivatives
+        with respect to this input in all of them, and each trains its own policy.
         """
         first = self.first_of_case[contract.name]
         kind = self.similarity_keys[first.name]
@@ -259,15 +261,15 @@ class BookPlan:
                 yield result
 
     def tests(self, leader: BookContract, result: JobResult) -> Iterator[BookJob]:
-        """The jobs of similar contracts with the policy of the first one; none of another
-        contract, or without a policy. `result`: the result of its first job."""
+        """The jobs of the tested contracts with the policy of `leader`; none if it is not the first
+        of similar contracts, or has no policy. `result`: the result of its first job."""
         kind = self.similarity_keys[leader.name]
         if leader is self.similar[kind][0] and result.policy is not None:
             for contract in self.tested.get(kind, ()):
                 yield test_job(self._first_base(contract), result.policy)
 
     def _first_base(self, contract: BookContract) -> BookJob:
-        """The first job of a contract that waits for no other."""
+        """The first job of a contract that waits for no other contract."""
         return self._base(contract, contract.name in self.judged)
 
     @cached_property
@@ -307,7 +309,7 @@ class BookPlan:
         return replace(job, stresses=tuple(x.moves for x in book.stresses[:STRESSES]))
 
     def further(self, base: BookJob, result: JobResult) -> Iterator[BookJob]:
-        """The other jobs of a contract, in the sequence of the stresses; none if its base
+        """The jobs of a contract after the base, in the sequence of the stresses; none if the base
         failed. `result`: the result of the job `base`."""
         if result.points[0].status != "ok":
             return

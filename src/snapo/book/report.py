@@ -97,8 +97,8 @@ def _headline(result: Mapping[str, Any], base: Mapping[str, Any]) -> Section:
 
 
 RISK = (
-    "Losses, with the stresses as scenarios of equal weight. The intervals contain the error of "
-    "simulation only, not the error of having only these scenarios."
+    "Losses, if the stresses are scenarios of equal weight. The intervals contain the simulation "
+    "error only, not the error that comes from the small number of scenarios."
 )
 
 
@@ -135,7 +135,7 @@ def _stresses(result: Mapping[str, Any]) -> Section:
     ]
     alt = "; ".join(f"{bar.name} {bar.text}" for bar in bars)
     svg = draw("stress-bars", alt, lambda axes: charts.ladder(axes, bars), 40 + 26 * len(bars))
-    caption = "The change of the book's value under every stress, the worst first"
+    caption = "The change of the book's value under every stress; the worst stress comes first"
     if len(displayed) < len(rows):
         caption += f"; the {MAX_ROWS // 2} worst and the {MAX_ROWS // 2} best of {len(rows):,}"
     columns = [
@@ -148,7 +148,7 @@ def _stresses(result: Mapping[str, Any]) -> Section:
     if any(row.explained is None for row in displayed):
         columns = columns[:3]
     text = Text(
-        "A policy that was trained once for its contract decides under the stress too; its value "
+        "A policy that was trained once for its contract also decides under the stress; its value "
         "table and the control variate are computed again from the stressed numbers. The "
         "explained change is of first order: it uses the derivatives at the base, with decisions "
         "held fixed.",
@@ -185,7 +185,7 @@ def _worst(sums: Sequence[Mapping[str, Any]]) -> Mapping[str, Any] | None:
 
 
 class PointRow(NamedTuple):
-    """A point of the axes in the report: the texts of its values, its value, and its outputs."""
+    """A point of the axes in the report: the texts of the axis values, the value, the outputs."""
 
     at: Sequence[str]
     value: WithError
@@ -194,7 +194,7 @@ class PointRow(NamedTuple):
     note: str
 
     def of(self, output: str) -> WithError:
-        """The value of an output, "" for the value itself."""
+        """The figure of an output; the output "" is the value itself."""
         if not output:
             return self.value
         entry = entries_of(StressSum, self.outputs.get(output))
@@ -202,7 +202,7 @@ class PointRow(NamedTuple):
 
 
 def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Section:
-    """The value over the axes: as a line, or as a map; and every point in a table."""
+    """The value over the axes, as a line or a map, and a table of all points."""
     rows = [
         PointRow(
             list(x["at"].values()),
@@ -224,7 +224,7 @@ def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Sec
     columns = [Column(name, lambda row, i=i: row.at[i]) for i, name in enumerate(names)]
     columns.append(Column(value, "value"))
     if any(row.change.value is not None for row in rows):
-        columns.append(Column("Change against the case", "change", sign=True))
+        columns.append(Column("Change from the case", "change", sign=True))
     columns += [
         Column(with_unit(name, x["unit"]), lambda row, name=name: row.of(name))
         for name, x in first.items()
@@ -238,7 +238,7 @@ def _points(result: Mapping[str, Any], axes: Sequence[Mapping[str, str]]) -> Sec
 def _picture(
     rows: Sequence[PointRow], names: Sequence[str], output: str, title: str
 ) -> list[Block]:
-    """A line over one axis, a map over two; of more axes, and of texts along a line, none."""
+    """A line over one axis or a map over two; no picture for more axes, or for an axis of texts."""
     valued = [row for row in rows if row.of(output).value is not None]
     positions = [[number_of(text) for text in row.at] for row in valued]
     if not valued:
@@ -277,7 +277,7 @@ def _identifier(text: str) -> str:
 
 
 def _exposure(rows: Sequence[Mapping[str, Any]]) -> Section:
-    """The mean of every output by day: of the book, and of its parts."""
+    """The mean of every output by day, for the book and for its parts."""
     parts = dict[tuple[str, str, str, str], list[Mapping[str, Any]]]()
     for row in rows:
         key = (row["output"], row["market"], row["unit"], row["by"])
@@ -318,7 +318,7 @@ def _by_day(
     alt = f"{title}, by day, from {low} to {high}"
     svg = draw(name, alt, lambda axes: paint(axes, when, lines, unit))
     more = f"; the first {len(displayed)} of {len(rows):,}" if len(rows) > len(displayed) else ""
-    return Chart(svg, f"{title}, mean of a day{more}.")
+    return Chart(svg, f"{title}, daily mean{more}.")
 
 
 class DeltaRow(NamedTuple):
@@ -352,7 +352,7 @@ def _deltas(result: Mapping[str, Any]) -> Section:
 
 
 class LossRow(NamedTuple):
-    """A contract that was valued with its own policy and with that of a similar one."""
+    """A contract that was valued with its own policy and with the policy of a similar contract."""
 
     leader: str
     case: str
@@ -394,7 +394,7 @@ def _cost(result: Mapping[str, Any]) -> Section:
     facts = [
         ("jobs computed", number(jobs["computed"], 0), f"{jobs['reused']:,} others reused"),
         ("wall time", seconds(result["seconds"]["total"]), counted(result["workers"], "worker")),
-        ("processor time", seconds(result["cpu_seconds"]), "of all jobs, whenever computed"),
+        ("processor time", seconds(result["cpu_seconds"]), "of all jobs, including reused ones"),
         ("largest worker", f"{result['peak_mb']:,.0f} MB", counted(result["shapes"], "shape")),
     ]
     return Section("cost", "Cost", "Cost", [Facts(facts)])

@@ -25,7 +25,7 @@ EVERY = 5.0  # seconds between two lines of progress
 
 
 class Shard(NamedTuple):
-    """The part `number` of `count` of a book, from 1."""
+    """The part `number` (from 1) of the `count` parts of a book."""
 
     number: int
     count: int
@@ -34,7 +34,7 @@ class Shard(NamedTuple):
 class Driver:
     """The jobs of some contracts, in sequence, and their results.
 
-    - `lost`: {job: the reason}, of those that no worker computed.
+    - `lost`: {job: the reason} for the jobs that no worker computed.
     """
 
     def __init__(self, plan: BookPlan, contracts: Sequence[BookContract], folder: BookFolder):
@@ -47,7 +47,8 @@ class Driver:
         self._read = reader(folder, self.lost)
 
     def next_job(self) -> bytes | None:
-        """The next job without a result; None if all others wait for one being computed."""
+        """The next job without a result; None if all such jobs wait for a job that is being
+        computed."""
         while True:
             job, contract = self._next()
             if job is None:
@@ -73,7 +74,7 @@ class Driver:
         return None, None
 
     def _follow(self, contract: BookContract, job: BookJob, result: JobResult) -> None:
-        """The jobs that follow the result of the first one of a contract."""
+        """The jobs that can be made once the first job of a contract has its result."""
         self.further_jobs.extend(self.plan.tests(contract, result))
         self.further_jobs.extend(self.plan.further(job, result))
 
@@ -109,11 +110,11 @@ def run_book(
 ) -> dict[str, Any]:
     """Values a book into the folder `out`, by default `run` next to its file.
 
-    - `worker_pools`: where its jobs are computed; `shard`: values only a part of the contracts.
-    - `resume`: results that the folder has are not computed again.
+    - `worker_pools`: where its jobs are computed; `shard`: the part of the contracts to value.
+    - `resume`: whether results that are already in the folder are used again.
 
-    Returns the content of result.json. If it is interrupted, or the disk is full, results that have
-    been written are kept.
+    Returns the content of result.json. If the run is interrupted or the disk is full, the results
+    written so far remain.
 
     **Raises:** `CaseError` if the folder cannot be written.
     """
@@ -147,7 +148,7 @@ def run_book(
 
 
 def plan_of(book: Book) -> BookPlan:
-    """The plan of a book whose jobs processors of this kind may compute."""
+    """The plan of a book; only processors of this kind may compute its jobs."""
     return BookPlan(book, "" if pipeline.unavailable() else pipeline.fingerprint())
 
 
@@ -180,7 +181,8 @@ def _compute(
                 progress(f"{done:,} of {size:,} jobs, {now - began:,.0f} s")
     except OSError as error:
         message = (
-            f"a result cannot be written ({error.strerror}); --resume continues from the others"
+            f"a result cannot be written ({error.strerror}); --resume continues "
+            "with the saved results"
         )
         raise CaseError(str(driver.folder.path), "", None, message) from None
 

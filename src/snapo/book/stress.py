@@ -1,5 +1,5 @@
-"""Stresses: their tables in the file of a book, and the numbers of a case under a stress, which are
-inputs, or the quotes from which a curve is made."""
+"""Stresses: their tables in the file of a book, and the numbers of a case under a stress. These
+numbers are inputs, or the quotes from which a curve is made."""
 
 import datetime
 import re
@@ -23,7 +23,7 @@ from snapo.study.positions import sources_of
 
 from .axes import CaseKey
 
-SET_TWICE = "already set to a value; it cannot also be scaled, shifted or set again"
+SET_TWICE = "already set to a value; it cannot be scaled, shifted or set again"
 PERIOD = re.compile(r"(\d{4}-\d{2}(?:-\d{2})?)/(\d{4}-\d{2}(?:-\d{2})?)", re.ASCII)
 
 
@@ -35,22 +35,28 @@ class BookStressTable(CaseTable):
         "factors on numbers of the cases", {}, 'factors, { "market.forward_curve" = 1.10 }'
     )
     shift: dict[CaseKey, float] = doc(
-        "amounts added to numbers, in their unit", {}, 'amounts, { "market.forward_curve" = 2.0 }'
+        "amounts added to numbers of the cases, in the unit of the number",
+        {},
+        'amounts, { "market.forward_curve" = 2.0 }',
     )
     set: dict[CaseKey, Any] = doc(
-        "other values of keys", {}, 'other values of keys, { "contract.injection_cost" = 0.05 }'
+        "new values of keys", {}, 'new values of keys, { "contract.injection_cost" = 0.05 }'
     )
     when: str = doc(
-        "period that is moved, by default all", "",
+        "period in which the numbers change, by default the whole time", "",
         'months or days, the last included: "2026-12/2027-02"',
     )  # fmt: skip
-    table: str = doc("stresses, one in a row", "", "a file with a stress in each row")
+    table: str = doc(
+        "table with one stress in each row",
+        "",
+        "the name of a CSV file with one stress in each row",
+    )
 
 
 @dataclass(frozen=True)
 class StressMove:
     """One input under a stress: `value * scale + shift`, on the dates of `when`; or a key of the
-    case with another value.
+    case with a new value.
 
     - `key`: a key of the case, "market.forward_curve".
     - `when`: first and last day of the move; None: all days.
@@ -66,7 +72,7 @@ class StressMove:
 
 @dataclass(frozen=True)
 class BookStress:
-    """Other numbers for some inputs.
+    """A stress: changed numbers for some inputs.
 
     - `labels`: {label of an axis: the text of its value}.
     - `file`, `where`: the position of the stress in the files of the book.
@@ -124,7 +130,8 @@ def read_stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[
 
 
 class MoveColumn(NamedTuple):
-    """A column of a table of stresses: its name, "scale", "shift" or "set", a key, and a period."""
+    """A column of a table of stresses: its name, its kind ("scale", "shift" or "set"), a key, and a
+    period."""
 
     name: str
     kind: str
@@ -133,8 +140,8 @@ class MoveColumn(NamedTuple):
 
 
 def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
-    """A stress in each row: `name`, and columns `scale KEY`, `shift KEY`, or `scale KEY@PERIOD`;
-    `set KEY` has a value as `--set` takes it."""
+    """The stresses of a table, one in each row. Its columns are `name`, `scale KEY`, `shift KEY`,
+    either with `@PERIOD`, and `set KEY`, whose values are written as for `--set`."""
     rows = read_rows(FileReference(context, "table", name), ("name",), with_keys=True)
     columns = [item for x in rows[0].cells if (item := _move_column(name, x)) is not None]
     for row in rows:
@@ -151,7 +158,7 @@ def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
                 move = replace(move, **{kind: row.number(column)})
             moves[key, when] = move
         if not row.cells["name"]:
-            raise row.error("name", "a stress has a name")
+            raise row.error("name", "a stress must have a name")
         if not moves:
             raise row.error(
                 "name", "a row with at least one of the columns scale KEY, shift KEY, set KEY"
@@ -161,8 +168,8 @@ def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
 
 
 def _move_column(file: str, name: str) -> MoveColumn | None:
-    """What a column moves; None for one that is ignored. One that is only almost called like a move
-    is a mistake, as it would change no number."""
+    """The move that a column describes; None for a column that is ignored. A name that is almost
+    that of a move is a mistake, because such a column would change no number."""
     kind, _, rest = name.partition(" ")
     kind, key = kind.lower(), rest.strip()
     if kind == "set" and key and "@" not in key:
@@ -192,7 +199,7 @@ def _toml_value(row: Row, column: str) -> str:
 
 
 def _period(file: str, where: str, text: str) -> tuple[datetime.date, datetime.date] | None:
-    """First and last day of "2026-12/2027-02"."""
+    """The first and last day of a period such as "2026-12/2027-02"."""
     if not text:
         return None
     match = PERIOD.fullmatch(text)
@@ -221,8 +228,8 @@ def _day(text: str, end: bool) -> datetime.date:
 def moved_numbers(
     case: Any, inputs: Mapping[str, Input], moves: Sequence[StressMove]
 ) -> dict[str, np.ndarray]:
-    """{input, or source of an input: its numbers under the moves}; `inputs`: those of the
-    unstressed case.
+    """{name of an input, or of its source: its numbers under the moves}; `inputs`: the inputs of
+    the unstressed case.
 
     **Raises:** `CaseError` if a move changes no number.
     """
@@ -261,7 +268,8 @@ def _input(key: str, inputs: Mapping[str, Input]) -> str:
 
 
 def _moved(entry: Input, value: np.ndarray, move: StressMove) -> np.ndarray:
-    """The numbers of an input under a stress; `when`: where its labels begin with a date within."""
+    """The numbers of an input under a stress. With a period `when`, only those change whose label
+    begins with a date in the period."""
     if move.when is None:
         return value * move.scale + move.shift
     first, last = (day.isoformat() for day in move.when)
@@ -273,14 +281,14 @@ def _moved(entry: Input, value: np.ndarray, move: StressMove) -> np.ndarray:
 
 
 def _source(key: str, sources: Mapping[str, SourceNumbers]) -> str:
-    """The numbers from which an input is made, of "market.quotes" and "market.quotes.2026-Q1"; ""
-    of other keys."""
+    """The numbers from which an input is made, for keys such as "market.quotes" and
+    "market.quotes.2026-Q1"; "" for other keys."""
     return next((name for name in sources if f".{name}." in f".{key}.".casefold()), "")
 
 
 def _moved_source(source: SourceNumbers, value: np.ndarray, move: StressMove) -> np.ndarray:
-    """Quotes under a stress: that of the product at the end of the key, else all; `when`: those
-    whose days all lie within."""
+    """Quotes under a stress: the quote of the product at the end of the key, or all quotes. With a
+    period `when`, only those change whose days all lie in it."""
     name, labels = source.numbers.name, source.numbers.labels
     label = f".{move.key}.".casefold().partition(f".{name}.")[2].removesuffix(".")
     inside = np.array([label in ("", x.casefold()) for x in labels])

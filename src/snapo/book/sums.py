@@ -1,7 +1,8 @@
-"""Sums of contracts, with errors from shares: a batch of paths has the same scenarios in each.
+"""Sums of contracts, with errors from shares: a batch of paths has the same scenarios in all
+contracts.
 
 A sum's share of a batch is the sum of the shares of its contracts. Contracts of one market share
-their paths; markets are independent, so that their errors add in squares.
+their paths; markets are independent, so the squares of their errors add up.
 """
 
 import math
@@ -31,7 +32,7 @@ class BookTotal:
     """The sum of positions under every stress.
 
     - `shares`: {market: {stress: [B] the shares of all its positions together}}.
-    - `missing`: {stress: positions without a value there}.
+    - `missing`: {stress: positions without a value under it}.
     - `worlds`: {market: the worlds of its positions}.
     """
 
@@ -55,7 +56,7 @@ class BookTotal:
         return len(self.worlds.get(market, ())) <= 1
 
     def at(self, stress: str) -> Sum | None:
-        """The sum under a stress; None if a position has no value there, or at the base."""
+        """The sum under a stress; None if a position has no value under it or at the base."""
         if self.missing.get(stress) or self.missing.get(self.base) or not self.shares:
             return None
         values, changes = [], []
@@ -80,17 +81,18 @@ class BookTotal:
 
 
 def _sum(x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The sum of shares; where their batches differ, of larger batches that both can form."""
+    """The sum of shares. If the numbers of batches differ, both are first averaged over larger
+    batches that they can have in common."""
     count = math.gcd(len(x), len(y))
     return x.reshape(count, -1).mean(1) + y.reshape(count, -1).mean(1)
 
 
 class Risk(NamedTuple):
-    """The loss over the stresses, which are scenarios of equal weight.
+    """The risk of loss, with the stresses as scenarios of equal weight.
 
     - `level`: 0.95; `var`: the loss that is not exceeded in this share of the scenarios;
-      `shortfall`: the mean loss in the others; both with the standard errors of their Monte Carlo
-      values.
+      `shortfall`: the mean loss in the other scenarios; both have the standard errors of Monte
+      Carlo.
     """
 
     level: float
@@ -129,7 +131,7 @@ class DeltaTotal:
     blocks: dict[tuple[str, str, str], np.ndarray] = field(default_factory=dict)
 
     def add(self, key: tuple[str, str, str], blocks: np.ndarray) -> None:
-        """Adds those of a position, [blocks]."""
+        """Adds the derivatives of a position, [blocks]."""
         self.blocks[key] = _sum(self.blocks[key], blocks) if key in self.blocks else blocks
 
     def by_month(self) -> "DeltaTotal":
@@ -155,14 +157,14 @@ class ExposureTotal:
     by_key: dict[ExposureKey, dict[str, np.ndarray]] = field(default_factory=dict)
 
     def add(self, key: ExposureKey, days: Sequence[str], blocks: np.ndarray) -> None:
-        """Adds that of a position, blocks [B, T]."""
+        """Adds the exposure of a position, blocks [B, T]."""
         by_day = self.by_key.setdefault(key, {})
         for day, x in zip(days, blocks.T):
             by_day[day] = _sum(by_day[day], x) if day in by_day else x
 
     def table(self, is_common: Callable[[str], bool]) -> list[dict[str, Any]]:
-        """Its content in result.json: a row for each key, in the sequence of the days, with errors
-        in the markets whose positions have common paths."""
+        """The content in result.json: for each key, rows in the sequence of the days. It has
+        errors only if the positions of a market have common paths."""
         rows = []
         for key, by_day in self.by_key.items():
             days = sorted(by_day, key=lambda day: (len(day), day))

@@ -1,7 +1,7 @@
 """The result of a job: a contract trained and valued, then valued under stresses.
 
-It depends on nothing but the job's bytes: the same on every machine with the same versions and
-processors of one kind. In one process, contracts of the same form share compiled code.
+The result depends on the job's bytes only. It is the same on every machine with the same versions
+and a processor of the same kind. In one process, contracts of the same form share compiled code.
 """
 
 import gc
@@ -80,7 +80,8 @@ def compute(data: bytes) -> bytes:
 
 
 def _same_bits(job: BookJob) -> bool:
-    """Whether this processor returns the bits that the book requires; code is compiled for it."""
+    """Selects the processor for which code is compiled; returns whether this processor gives the
+    bits that the book requires."""
     if pipeline.unavailable() is not None:
         return True
     if job.processor:
@@ -93,13 +94,13 @@ def _cost(seconds: float) -> Cost:
 
 
 def _memory() -> float:
-    """MB that this process has had in memory at most."""
+    """The peak memory of this process in MB."""
     return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
 
 
 def _keep_small() -> None:
-    """A worker that has grown returns free memory; a large one drops its compiled code first, which
-    the disk still has."""
+    """Makes a worker that has grown return its free memory. A large worker first drops its compiled
+    code, which is still on disk."""
     with suppress(OSError):
         pages = int(Path("/proc/self/statm").read_text().split()[1])
         size = pages * resource.getpagesize() >> 20
@@ -113,7 +114,7 @@ def _keep_small() -> None:
 
 
 def valuation(contract: JobContract) -> "_Decided | _Calculated":
-    """The valuation of a contract; its `inputs` are those that a stress may move.
+    """The valuation of a contract; a stress may move its `inputs`.
 
     **Raises:** `ValueError` for a kind of case that a book does not value.
     """
@@ -162,11 +163,11 @@ class _Decided:
         return JobResult(points, _file(policy), *labels)
 
     def _solved(self, setup: Setup) -> Solution:
-        """The contract trained and valued; a user's simulator is checked before."""
+        """The trained and valued contract; a user's simulator is checked first."""
         return setup.solve(bar=False, check=isinstance(self.contract.domain, RunsCode))
 
     def _deltas(self, setup: Setup, solution: Solution) -> tuple[Delta, ...]:
-        """The held derivatives, those of the job's `bumped` inputs tested."""
+        """The held derivatives; those with respect to the job's `bumped` inputs are tested."""
         table, policy, evaluation = solution.sensitivities, solution.policy, setup.evaluation
         if table is None or policy is None or not self.job.bumped:
             return Delta.of_table(table)
@@ -178,8 +179,8 @@ class _Decided:
         return Delta.of_table(table._replace(verdicts=verdicts))
 
     def _adopted(self) -> Policy | None:
-        """The policy with the trained numbers of a similar contract; None if there is none, or
-        it does not fit."""
+        """The policy with the trained numbers of a similar contract; None if there is no such
+        policy or it does not fit."""
         if self.job.adopted is None:
             return None
         file = self.contract.file.with_name("adopted.npz")
@@ -191,11 +192,12 @@ class _Decided:
             return None
 
     def _stressed(self, policy: Policy | None) -> Iterator[BookPoint]:
-        """The points of the stresses; None: each trains a policy."""
+        """The points of the stresses; if the policy is None, each stress trains a policy."""
         return self.contract.stressed(lambda moves: self._under(moves, policy))
 
     def _under(self, moves: tuple[StressMove, ...], policy: Policy | None) -> BookPoint:
-        """The value under a stress, with value table and control variate of its numbers."""
+        """The value under a stress, with the value table and control variate of the stressed
+        numbers."""
         setup_at, case = self.contract.study.setup_at, self.contract.under(moves, self.inputs)
         assert setup_at is not None
         setup = setup_at(self.setup, case)
@@ -221,7 +223,7 @@ class _Decided:
         return self._point(setup, totals, changes, deltas)
 
     def _exposure(self, policy: Policy) -> Iterator[Exposure]:
-        """The mean of the outputs of every step, by block of paths."""
+        """The mean of the outputs at every step, by block of paths."""
         problem, about = self.setup.problem, self.contract.study.about
         bound = self.setup.engines.evaluate.bind(problem, controls=False)
         source, means = problem.sources.evaluation, dict[str, list[np.ndarray]]()
@@ -256,7 +258,7 @@ class _Decided:
         controls = problem.simulator.control_variates()
         shares = value_of_groups(problem.objective, totals, problem.sources.evaluation, controls)
         if not np.isfinite(shares).all():
-            return BookPoint.without_value("failed", "too many paths are non-finite")
+            return BookPoint.without_value("failed", "the values of too many paths are not finite")
         shares = batched(shares)
         result = statistics.of_shares(shares)
         groups = problem.sources.evaluation.groups(np.arange(len(next(iter(totals.values())))))
@@ -272,15 +274,16 @@ class _Decided:
 
 
 def _held_alone(setup: Setup) -> Setup:
-    """Without all that only the intervals of derivatives need: a book reports held ones."""
+    """Removes everything that only the intervals of derivatives need, because a book reports held
+    derivatives."""
     evaluation = replace(setup.evaluation, judge_paths=0, smooth_paths=0)
     return setup._replace(evaluation=evaluation)
 
 
 def check_held(policy: Any, at_point: Any) -> None:
-    """**Raises:** `ValueError` if policies of a contract, and of the contract at a point, differ
-    in more than their numbers, such as levels, moves or the order of modes. The policy of the
-    contract would then fail at the point, or read the wrong numbers."""
+    """**Raises:** `ValueError` if the policy of a contract and its policy at a point differ in more
+    than their numbers, for example in levels, moves or the order of modes. The policy of the
+    contract would then fail at the point or read the wrong numbers."""
     if _text(form_of(policy)) != _text(form_of(at_point)):
         raise ValueError(
             "the policy of the unchanged contract does not fit this one, whose levels or decisions "
@@ -319,7 +322,7 @@ class _Calculated:
 def _changes(
     base: Mapping[str, Input], moved: Mapping[str, Input]
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """(input, [n] its numbers minus those of the base) of the inputs that a stress moves."""
+    """(input, [n] its numbers minus those of the base) for the inputs that a stress moves."""
     for name, entry in moved.items():
         if name in base and entry.value.shape == base[name].value.shape:
             change = (entry.value - base[name].value).ravel()

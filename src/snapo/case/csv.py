@@ -1,8 +1,9 @@
-"""CSV files and arrays of a case, read so that every mistake has a line and a remedy.
+"""Reads the CSV files and arrays of a case; the message of every mistake names the line and the
+remedy.
 
 A CSV is UTF-8 (with or without a byte-order mark), with a header row that names the columns in any
-order; blank lines, lines that start with `#`, and further columns are ignored. Commas separate,
-numbers have a decimal point, days are YYYY-MM-DD and months YYYY-MM; see `dialect` for others.
+order; blank lines and lines that start with `#` are ignored. Commas separate the columns, numbers
+have a decimal point, days are YYYY-MM-DD and months are YYYY-MM; see `dialect` for other formats.
 """
 
 import csv
@@ -26,7 +27,8 @@ FRAMES = "data frames need the package narwhals: pip install 'snapo[frames]'"
 
 
 def parquet_lines(reference: "FileReference", path: Path) -> list[tuple[int, list[str]]]:
-    """The rows of a Parquet file as (line number, cells), the column names first, as for a CSV.
+    """The rows of a Parquet file as (line number, cells); as in a CSV, the first row has the column
+    names.
 
     **Raises:** `CaseError` if pyarrow is missing, or the file is damaged or nested.
     """
@@ -119,7 +121,7 @@ class FileReference:
     name: str
 
     def error(self, allowed: str) -> CaseError:
-        """The mistake is in the name itself."""
+        """A mistake in the name itself."""
         return self.section.error(self.key, self.name, allowed)
 
 
@@ -141,7 +143,7 @@ class Row:
     def number(
         self, column: str, low: float = -math.inf, high: float = math.inf, allowed: str = ""
     ) -> float:
-        """A finite number within [low, high]; `allowed`: the same as text."""
+        """A finite number within [low, high]; `allowed`: the allowed numbers as text."""
         text, noun = self.cells[column], "a finite number" if low == -high == -math.inf else ""
         allowed = allowed or str(Range(low, high, noun=noun))
         value = float(text) if NUMBER.fullmatch(text) else math.nan
@@ -172,7 +174,7 @@ class Row:
         return period
 
     def period(self, column: str) -> datetime.date | tuple[int, int] | None:
-        """A day that exists or a month as (year, month); None for any other text."""
+        """An existing day, or a month as (year, month); None for any other text."""
         try:
             text = self.dialect.period(self.cells[column])
             if DAY.fullmatch(text):
@@ -188,7 +190,7 @@ class Row:
         return int(match[1]), int(match[2])
 
     def label(self, column: str) -> str:
-        """The text of a cell; a day or a month as YYYY-MM-DD or YYYY-MM, if that is certain."""
+        """The text of a cell; an unambiguous day or month is written YYYY-MM-DD or YYYY-MM."""
         try:
             return self.dialect.period(self.cells[column])
         except AmbiguousFormat:
@@ -201,7 +203,7 @@ def ordinals(days: Sequence[datetime.date]) -> np.ndarray:
 
 
 def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.date]:
-    """The dates of all rows, each after the one before."""
+    """The dates of all rows, which must increase."""
     dates: list[datetime.date] = []
     for row in rows:
         date = row.day(column)
@@ -213,7 +215,7 @@ def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.dat
 
 
 def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
-    """The plain file named in a case, which must be in the folder of the case or below it."""
+    """The plain file that a case names, which must be in the folder of the case or below it."""
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:
@@ -241,11 +243,11 @@ def read_rows(
     optional: Sequence[str] | None = None,
     with_keys: bool = False,
 ) -> list[Row]:
-    """Reads the CSV that a case names; every row has all `columns`, with blanks stripped. A
-    Parquet file is read like the CSV of the same table. The only other columns allowed are those
-    of `optional`, so that a misspelt column is not taken for an omitted one; None allows any
-    column. Names of columns are converted to lower case; with `with_keys`, names with a point are
-    keys of a case and stay unchanged.
+    """Reads the CSV that a case names; every row has all `columns`, and blanks around its cells are
+    removed. A Parquet file is read like the CSV of the same table. The only other columns allowed
+    are `optional`, so that a misspelt column is not taken for an omitted one; with None any column
+    is allowed. Names of columns are converted to lower case; with `with_keys`, names with a point
+    are keys of a case and stay unchanged.
     """
     path = file_in_folder(reference, (".csv", ".parquet"))
     name = reference.name
@@ -254,7 +256,7 @@ def read_rows(
     else:
         result, written = _read(reference, _text(path, name))
     if not result:
-        message = f"the file is empty; its first line is {','.join(columns)}"
+        message = f"the file is empty; its first line must be {','.join(columns)}"
         raise CaseError(name, "", None, message)
     (line, cells), *records = result
     names = _header(name, line, cells, columns, with_keys)
@@ -287,13 +289,17 @@ def _text(path: Path, name: str) -> str:
     except OSError as error:
         raise CaseError(name, "", None, f"the file cannot be read ({error.strerror})") from None
     if "\0" in text:
-        message = "the file contains zero bytes, as UTF-16 does; save it as CSV in UTF-8"
+        message = (
+            "the file contains zero bytes, probably because it is in UTF-16; save it as CSV "
+            "in UTF-8"
+        )
         raise CaseError(name, "", None, message)
     return text
 
 
 def _read(reference: FileReference, text: str) -> tuple[list[tuple[int, list[str]]], Dialect]:
-    """Line numbers and cells, header first, and the dialect, of which the case gets a note."""
+    """Line numbers and cells, with the header first, and the dialect, which a note to the case
+    describes."""
     lines = (line for line in text.splitlines() if line.strip() and not line.startswith("#"))
     header = next(lines, "")
     records = list(_records(reference.name, text, separator(header)))

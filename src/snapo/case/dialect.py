@@ -2,7 +2,8 @@
 
 Spreadsheets on the European continent write semicolons, decimal commas and 31.12.2024. Such a file
 is read if it is unambiguous, and the case gets a note; a file with two possible meanings is
-refused. `1.234` next to `1,5` is above a thousand; `1,234` by itself could be either.
+refused. Next to `1,5`, the number `1.234` is 1234; without another number, `1,234` could be 1.234
+or 1234.
 """
 
 import re
@@ -22,7 +23,7 @@ Order = Literal["day", "month"]
 
 
 class AmbiguousFormat(ValueError):
-    """A file that could mean two things: the cell, and the remedy."""
+    """A file with two possible meanings: the ambiguous cell, and the remedy."""
 
     def __init__(self, cell: str, remedy: str):
         super().__init__(remedy)
@@ -31,7 +32,8 @@ class AmbiguousFormat(ValueError):
 
 @dataclass(frozen=True)
 class Dialect:
-    """`separator`; `comma`: whether that is the decimal mark; `first`: of 01/02/2024, if known."""
+    """`separator`: of columns; `comma`: whether the decimal mark is a comma; `first`: "day" or
+    "month", whichever comes first in 01/02/2024, or None if the file does not show it."""
 
     separator: str = ","
     comma: bool = False
@@ -46,11 +48,11 @@ class Dialect:
         return cell
 
     def period(self, cell: str) -> str:
-        """A day or month of another form, rewritten as YYYY-MM-DD or YYYY-MM; any other cell
+        """A day or month in another form, rewritten as YYYY-MM-DD or YYYY-MM; any other cell is
         unchanged.
 
-        **Raises:** `AmbiguousFormat` for 01/02/2024 in a file that does not distinguish day from
-        month.
+        **Raises:** `AmbiguousFormat` for a date such as 01/02/2024 if no date of the file shows
+        whether day or month comes first.
         """
         cell = MIDNIGHT.sub("", cell)
         if match := MONTH.fullmatch(cell):
@@ -65,7 +67,8 @@ class Dialect:
         return f"{year}-{int(month):02}-{int(day):02}"
 
     def describe(self) -> str:
-        """The differences from commas and decimal points, for a note; "" if there are none."""
+        """The differences from a CSV with commas between columns and decimal points, for a note; ""
+        if there are none."""
         messages = []
         if self.separator != ",":
             messages.append(f"{SEPARATORS[self.separator]} between the columns")
@@ -85,7 +88,7 @@ def separator(header: str) -> str:
 def dialect(header: str, rows: Iterable[Sequence[str]]) -> Dialect:
     """The dialect of a file, from its header row and all cells below it.
 
-    **Raises:** `AmbiguousFormat` if the cells contradict each other, or could mean two things.
+    **Raises:** `AmbiguousFormat` if the cells contradict each other or have two possible meanings.
     """
     mark, cells = separator(header), {cell for row in rows for cell in row}
     comma = mark != "," and _decimal_comma(cells)
@@ -93,7 +96,8 @@ def dialect(header: str, rows: Iterable[Sequence[str]]) -> Dialect:
 
 
 def _decimal_comma(cells: set[str]) -> bool:
-    """Whether numbers have a decimal comma; they are all of one kind, or refused."""
+    """Whether numbers have a decimal comma; a file with both decimal commas and decimal points is
+    refused."""
     doubtful = sorted(cell for cell in cells if THOUSANDS.fullmatch(cell))
     commas = sorted(c for c in cells if COMMA.fullmatch(c) and c not in doubtful)
     points = sorted(c for c in cells if POINT.fullmatch(c) and c not in doubtful)
@@ -101,12 +105,15 @@ def _decimal_comma(cells: set[str]) -> bool:
         message = f"this number has a decimal comma and {points[0]} a point; use one of them"
         raise AmbiguousFormat(commas[0], message)
     if doubtful and not commas and not points:
-        raise AmbiguousFormat(doubtful[0], "is it a fraction, or a thousand? Write 1.5, or 1234")
+        raise AmbiguousFormat(
+            doubtful[0], "this mark may separate decimals or thousands; write 1.5 or 1234"
+        )
     return bool(commas)
 
 
 def _first(cells: set[str]) -> Order | None:
-    """What comes first in days with slashes: determined by any number above twelve."""
+    """Whether day or month comes first in dates with slashes, which any number above twelve
+    shows."""
     table: dict[Order, str] = {}
     for cell in sorted(cells):
         match = DAY.fullmatch(MIDNIGHT.sub("", cell))

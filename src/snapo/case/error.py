@@ -12,11 +12,11 @@ class CaseError(ValueError):
 
     **Arguments:**
 
-    - `file`: the file with the mistake, by its name for the user.
+    - `file`: the file with the mistake, under the name that the user knows.
     - `where`: the key ("contract.max_injection"), the line ("line 7") or the date.
-    - `value`: the value found; `None` if one is missing.
+    - `value`: the wrong value; `None` if a value is missing.
     - `allowed`: a correct value, described in a clause.
-    - `others`: further mistakes found in the same reading.
+    - `others`: further mistakes in the same case.
     """
 
     def __init__(self, file: str, where: str, value: Any, allowed: str, others=()):

@@ -1,4 +1,4 @@
-"""Numbers that the user gave, with their meaning and units."""
+"""Numbers that the user entered, with their meaning and units."""
 
 import math
 from collections.abc import Callable, Sequence
@@ -28,7 +28,8 @@ class SheetCell(NamedTuple):
 
 
 class Copies(NamedTuple):
-    """The positions of a number that has several: the two entries of a correlation."""
+    """The positions of a number that is written several times, such as the two entries of a
+    correlation."""
 
     positions: tuple["FilePosition", ...]
 
@@ -47,8 +48,8 @@ class QuantityKey(NamedTuple):
 class KeyedUnit(NamedTuple):
     """The position of a number whose unit has separate keys.
 
-    - `path`: the keys that lead to it. `units`: the paths of the keys of its unit, and their
-      values for a number in the unit of the input. They apply to all of its numbers.
+    - `path`: the keys that lead to it. `units`: the paths of the keys of its unit, and their values
+      for a number in the unit of the input. These keys apply to all numbers of the position.
     """
 
     path: tuple[str | int, ...]
@@ -56,8 +57,8 @@ class KeyedUnit(NamedTuple):
 
 
 class ConvertedNumber(NamedTuple):
-    """The position of a number that a case reads as another one: an annual rate as a continuous
-    one.
+    """The position of a number that is converted when it is read, such as an annual rate to a
+    continuous one.
 
     - `read`: the function that is applied to the number in the file; `written`: its inverse, up to
       rounding.
@@ -68,8 +69,8 @@ class ConvertedNumber(NamedTuple):
     written: Callable[[float], float]
 
     def inverse(self, number: float) -> float:
-        """The number to write so that exactly this number is read or, if no float does this, one
-        next to it."""
+        """The number to write so that exactly this number is read. If there is no such float, the
+        number that is read is a neighbouring float."""
         near = self.written(number)
         steps = [np.nextafter(near, math.inf), np.nextafter(near, -math.inf)]
         steps += [np.nextafter(steps[0], math.inf), np.nextafter(steps[1], -math.inf)]
@@ -78,7 +79,7 @@ class ConvertedNumber(NamedTuple):
 
 
 class NoPosition(NamedTuple):
-    """The reason why another number cannot be written."""
+    """The reason why a new number cannot be written to the files of the case."""
 
     reason: str
 
@@ -97,13 +98,14 @@ FilePosition = (
 
 
 def positions(path: tuple[str | int, ...], shape: tuple[int, ...]) -> tuple[FilePosition, ...]:
-    """The positions of the entries of an array under a key, in C order; for one number, the key."""
+    """The positions of the entries of an array under a key, in C order; for a single number, the
+    position of the key."""
     return tuple((*path, *index) for index in np.ndindex(shape))
 
 
 @dataclass(frozen=True, eq=False)
 class CaseInput:
-    """Numbers that the user gave, and where each of them is used.
+    """Numbers that the user entered, and where each of them is used.
 
     The per-day array is always `values[index]`: a simulator makes `values` an `Input` with this
     name, unit and labels, and takes `[index]` inside `prepare`, so that every number entered has a
@@ -123,7 +125,7 @@ class CaseInput:
       `Input`.
     - `positions`: [n] the position of each number in the files of the case; () if no reader
       recorded it.
-    - `starts`: [n] day numbers from which the numbers hold, where they change with time.
+    - `starts`: [n] day numbers from which the numbers apply, if they change with time.
     - `quantity`: the declaration of the numbers (`snapo.case.quantity`), if there is one.
     """
 
@@ -154,7 +156,7 @@ class CaseInput:
         return self.values[self.index]
 
     def use(self) -> Use:
-        """The use of the numbers by a simulator: see `snapo.problem.form`."""
+        """The way in which a simulator uses the numbers; see `snapo.problem.form`."""
         return Use.of(self.name, len(self.values), self.index)
 
     @property
@@ -169,8 +171,8 @@ class CaseInput:
         return Input(self.values, self.unit, self.labels, **metadata)
 
     def on(self, days: Sequence[date], notes: list[str]) -> "CaseInput":
-        """The numbers that apply on rising dates, each from its own date on; with an index
-        [len(days)].
+        """The numbers that apply on rising dates, with an index [len(days)]; each number applies
+        from its own date on.
 
         **Raises:** `CaseError` if the dates begin before the numbers do.
         """
@@ -184,12 +186,12 @@ class CaseInput:
         return replace(numbers, index=index)
 
     def _from(self, day: date, notes: list[str]) -> "CaseInput":
-        """With the number that holds before the first of its dates."""
+        """Adds the number that applies before the first date of the numbers."""
         assert self.starts is not None
         first, before, position = self.labels[0], self.quantity.before, self.positions[0]
         assert isinstance(position, SheetCell)
         if before is None:
-            message = f"{self.name} is needed from {day.isoformat()} on; add a row for that date"
+            message = f"{self.name} is needed from {day.isoformat()} on; add a row with that date"
             where = f"line {position.line}, column {self.quantity.by}"
             raise CaseError(position.file, where, first, message)
         notes.append(f"{position.file} begins on {first}; until then {self.name} is {before:g}.")

@@ -1,4 +1,4 @@
-"""A case from its files: a TOML file, a folder with `case.toml`, or a workbook."""
+"""Reads a case from its files: a TOML file, a folder with `case.toml`, or a workbook."""
 
 import re
 import tomllib
@@ -18,7 +18,8 @@ TOO_DEEP = "the tables of this file are nested too deeply; no case needs more th
 
 
 def load(path: Path) -> tuple[Path, dict[str, Any]]:
-    """Reads the case at `path`, a TOML file or a folder with `case.toml`; returns file and data."""
+    """Reads the case at `path`, a TOML file or a folder with `case.toml`; returns the name of the
+    file and its data."""
     if path.suffix.lower() == ".xlsx" and path.is_file():
         path = unpacked(path)
     file = path / "case.toml" if path.is_dir() else path
@@ -37,7 +38,7 @@ def load(path: Path) -> tuple[Path, dict[str, Any]]:
 
 
 def tables_of(file: Path, text: str) -> dict[str, Any]:
-    """The tables of a text in TOML. **Raises:** `CaseError` with the line of a mistake."""
+    """The tables in a TOML text. **Raises:** `CaseError` with the line of a mistake."""
     try:
         data = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
@@ -59,7 +60,7 @@ def is_deep(data: Any) -> bool:
 
 
 def _not_toml(file: Path, text: str, message: str) -> CaseError:
-    """The parser's complaint, with the line that it is about."""
+    """The parser's message as an error with its line."""
     result = re.search(r"line (\d+)", message)
     number = int(result[1]) if result else len(text.rstrip().splitlines())  # "at end of document"
     lines = text.splitlines()[:number]
@@ -72,7 +73,7 @@ def _not_toml(file: Path, text: str, message: str) -> CaseError:
 
 
 def _key_at(lines: Sequence[str]) -> str:
-    """The key of the last line, with its table; "" if there is none."""
+    """The key on the last line of a text, with its table; "" if there is none."""
     keys = [(i, match[1]) for i, line in enumerate(lines) if (match := KEY.match(line))]
     if not keys:
         return ""

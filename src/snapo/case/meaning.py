@@ -1,5 +1,5 @@
-"""The conditions for a key of a case to have an effect: declared at the key, checked when all
-tables are read.
+"""Conditions under which a key of a case has an effect. They are declared with the key and checked
+when all tables have been read.
 
     spouse_share: Annotated[Share, COHORTS] = Field(0.0, description=SHARE)
 
@@ -31,7 +31,7 @@ class Only:
     instead: Callable[[Tables], str] | None = None
 
     def why(self, tables: Tables) -> str:
-        """The reason for a refusal."""
+        """The reason why the key is refused."""
         reason = f"this key is used only {self.when}"
         if self.instead is None:
             return reason
@@ -39,7 +39,7 @@ class Only:
 
 
 def conditions(field: FieldInfo) -> Iterator[Only]:
-    """All conditions for a key to have an effect."""
+    """All conditions under which a key has an effect."""
     return (item for item in field.metadata if isinstance(item, Only))
 
 

@@ -6,7 +6,7 @@ from .settings import ObjectiveTable
 
 
 def make_objective(table: ObjectiveTable, output: str) -> core.Objective:
-    """The objective that `table` names, of the paths' totals of `output`."""
+    """The objective that `table` describes, for the totals of `output` over the paths."""
     aversion = table.risk_aversion or 0.0
     match table.kind:
         case "mean":

@@ -14,8 +14,8 @@ PartNames = list[Annotated[str, Field(min_length=1)]]
 
 def names_of_parts(example: str) -> Any:
     """The field `parts: Names` of a domain's table `[report]`."""
-    message = f'names of parts such as ["{example}"]; the parts that they need are run too'
-    return doc("parts of the run that are computed, by default all", [], message)
+    message = f'names of parts such as ["{example}"]; the parts that these need are also computed'
+    return doc("parts of the run to compute, by default all", [], message)
 
 
 def known_parts(

@@ -1,14 +1,15 @@
-"""Ranges outside which a number is likely to be in another unit: a note, never a refusal.
+"""Ranges outside which a number is likely to be in another unit; such a number gets a note and is
+never refused.
 
 A domain declares `Plausible` ranges by name, or by group and unit; `implausible` checks the numbers
-of a case and writes one note for each input with a number outside of its range, or, along a curve,
-far from its neighbours.
+of a case. It writes one note for each input with a number outside of its range or, on a curve, far
+from its neighbours.
 
     RATE = Plausible(-0.02, 0.2, "a fraction is expected, 0.02 is 2 %", group="interest rate")
     notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()
 
-Zero is the same number in every unit, and gets no note. Its position is the cell of the
-case's files that contains it and resembles the name and label of its input.
+Zero is the same number in every unit, and gets no note. The position of a number is the cell of the
+case's files that contains the number and resembles the name and label of its input.
 """
 
 import math
@@ -42,13 +43,13 @@ LARGEST = 4 << 20  # bytes of a table in which a number is looked up
 
 
 class CheckedNumbers(NamedTuple):
-    """The numbers of an input, as all checks of this module read them.
+    """The numbers of an input, in the form that all checks of this module use.
 
     - `values`: [n]; `labels`: [n], "" for a single number. `written`: [n] the numbers as in the
       case's files.
-    - `display_unit`: the unit of the trade; one `unit` is `display_factor` of these.
-    - `source`: the input from which the numbers are made; if there is a note on the source, there
-      is none on them.
+    - `display_unit`: the unit that the trade uses; one `unit` is `display_factor` display units.
+    - `source`: the input from which the numbers are made; if that input has a note, these numbers
+      get none.
     - `range`: the plausible range in the declaration; `positions`: [n] the positions of the
       numbers, if recorded.
     """
@@ -92,12 +93,12 @@ def checked_numbers(entry: Any, name: str = "") -> CheckedNumbers:
 class Plausible:
     """The range of a kind of numbers, in the unit of the input.
 
-    It applies to the inputs that are among `names`, have this `group` and `unit`, and have a name
-    with one of `endings`, as far as these fields are set.
+    It applies to the inputs that satisfy all the fields that are set: a name among `names`, this
+    `group`, this `unit`, and a name that has one of the `endings`.
 
     - `hint`: a clause on the unit that is expected.
     - `ratio`: the largest ratio between a number and its neighbours along the curve.
-    - `by_size`: the range is that of absolute values, because the sign has another meaning.
+    - `by_size`: whether the range is for absolute values, because the sign has another meaning.
     """
 
     low: float
@@ -120,7 +121,7 @@ class Plausible:
         )
 
     def outside(self, values: np.ndarray) -> np.ndarray:
-        """Positions of the numbers outside of the range."""
+        """The indices of the numbers outside of the range."""
         size = np.abs(values) if self.by_size else values
         return np.flatnonzero(~((size >= self.low) & (size <= self.high)) & (values != 0))
 
@@ -130,7 +131,7 @@ def implausible(
 ) -> dict[str, str]:
     """{name: note} of the inputs with implausible numbers.
 
-    The range of an input is that of its declaration, else the first of `ranges` that fits.
+    The range of an input is the one in its declaration or else the first of `ranges` that fits.
     """
     notes: dict[str, str] = {}
     for entry in map(checked_numbers, entries):
@@ -144,7 +145,7 @@ def implausible(
 
 
 def _outside(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
-    """The note on numbers outside of the range; "" without one."""
+    """The note on numbers outside of the range; "" if there are none."""
     rows = range_.outside(entry.values)
     if not rows.size:
         return ""
@@ -160,7 +161,7 @@ def _outside(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> st
 
 
 def _apart(entry: CheckedNumbers, range_: Plausible, files: "CaseFiles") -> str:
-    """The note on the number that is the farthest from its neighbours; "" without one."""
+    """The note on the number that is the farthest from its neighbours; "" if none is too far."""
     if math.isinf(range_.ratio):
         return ""
     usual = around(entry.values)
@@ -196,13 +197,14 @@ def around(values: np.ndarray) -> np.ndarray:
 
 
 def _median(values: np.ndarray) -> float:
-    """That of NumPy loads its masked arrays."""
+    """The median; the function of NumPy would also load NumPy's masked arrays."""
     ordered, half = np.sort(values), len(values) // 2
     return ordered[half] if len(values) % 2 else (ordered[half - 1] + ordered[half]) / 2
 
 
 def _start(entry: CheckedNumbers, row: int, files: "CaseFiles") -> str:
-    """Position, name and value of the entry, in the display unit and as written in the file."""
+    """Position, name and value of the entry; the value is in the display unit and as written in the
+    file."""
     written = entry.values if entry.written is None else entry.written
     label = f" {entry.labels[row]}" if entry.labels[row] else ""
     position = in_words(entry.positions[row]) if entry.positions else ""
@@ -232,19 +234,19 @@ def in_words(position: FilePosition) -> str:
 
 
 def more(count: int, of: str = "") -> str:
-    """The clause on further numbers; "" without any."""
+    """The clause on further numbers; "" if there are none."""
     return "" if not count else f", as {'is' if count == 1 else 'are'} {count} more{of}"
 
 
 def _unit(entry: CheckedNumbers) -> str:
-    """The unit of the trade in the plural: "percentage points a day"."""
+    """The unit that the trade uses, in the plural: "percentage points a day"."""
     unit = entry.display_unit or entry.unit
     plural = unit if re.search("[/(]", unit) else re.sub(r"\b(point|year)\b", r"\1s", unit)
     return "" if unit == "1" else plural
 
 
 def _plain(number: float) -> str:
-    """A number with six digits and commas."""
+    """A number with six significant digits and commas between thousands."""
     size = abs(number)
     return f"{number:.6g}" if not 1e3 <= size < 1e15 else f"{float(f'{number:.6g}'):,.10g}"
 
@@ -261,7 +263,7 @@ class Cell(NamedTuple):
 
 @dataclass(frozen=True)
 class CaseFiles:
-    """The files of a case, read for the position of a number when the first one is looked up.
+    """The files of a case, which are read when the first position of a number is looked up.
 
     - `data`: the tables of the TOML file `file`; the CSVs that they name are in its folder.
     """
@@ -270,11 +272,12 @@ class CaseFiles:
     data: Mapping[str, Any]
 
     def position(self, name: str, label: str, value: float) -> str:
-        """The position of a number of the input `name`; the name if no file has it.
+        """The position of a number of the input `name`, or `name` if no file contains the number.
 
-        Several cells may contain the number, or have the key's name. The result is the one whose
+        Several cells may contain the number or have the key's name. The result is the cell whose
         key, column and row have the largest number of terms in common with the input's name and
-        label. Some cases convert the annual rates of a file to continuous ones.
+        label. A cell with an annual rate also counts as its continuous rate, because some cases
+        convert rates.
         """
         terms, last = _terms(name), _terms(name.rpartition(".")[2])
         written = (value, math.expm1(value) if abs(value) < 100 else value)
@@ -309,7 +312,7 @@ class CaseFiles:
             yield Cell(".".join(path), _terms(".".join(path)), (), number)
 
     def _table(self, name: str, path: tuple[str, ...]) -> Iterator[Cell]:
-        """The cells of a CSV that the case names; none if it cannot be read as one."""
+        """The cells of a CSV that the case names; none if the file cannot be read as a CSV."""
         section = TableContext(self.file, ".".join(path[:-1]), [])
         try:
             if (self.file.parent / name).stat().st_size > LARGEST:

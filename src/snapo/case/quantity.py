@@ -1,9 +1,9 @@
-"""A number of a case, declared once.
+"""Declares the numbers of a case, each in one place.
 
 A `Quantity` has the metadata of a number: unit, range, meaning, and the size of a standard move.
-Called with a meaning it makes a field of a `Table`, and this one line yields the reading, the
-message of a mistake, the documentation, the input with its sensitivity, and the position in the
-files where another value can be written:
+When it is called with a meaning, it makes a field of a `Table`. From this one line come the reader,
+the messages, the documentation, the input with its sensitivity, and the position in the files where
+a new value can be written:
 
     COST = Quantity("{currency}/{volume_unit}", group="cost", move=0.01, by="date")
 
@@ -36,14 +36,14 @@ FRACTION, BELOW_ONE = Range(0.0, 1.0), Range(0.0, 1.0, "[)")
 class Quantity:
     """The declaration of a number.
 
-    - `unit`: a key of the same table in braces is replaced by its value.
+    - `unit`: the name of a key in braces is replaced by the value of this key in the same table.
     - `range`: the allowed numbers; `limits`: the possible numbers, outside which a number is
       refused as a mistake; `plausible`: the usual numbers, outside which a note asks whether the
       unit is right.
     - `group`, `move`, `display_unit`, `display_factor`, `bump`, `meaning`: as in an `Input`.
-    - `by`: the column of a CSV with which the number may change ("date"), `column`: the column of
-      the numbers; `before`: the number that applies before the first row.
-    - `text`: the allowed values, if the range is not sufficient.
+    - `by`: the column of a CSV along which the number may change ("date"); `column`: the column
+      with the numbers; `before`: the number that applies before the first row.
+    - `text`: the allowed values as text, if the range does not describe them fully.
     - `name`: the name of the input, if it is not the key.
     """
 
@@ -75,11 +75,11 @@ class Quantity:
 
     @property
     def title(self) -> str:
-        """The meaning with the unit, in which the names of other keys stand for their values."""
+        """The meaning with the unit, in which names of other keys represent their values."""
         return self.meaning + f", in {self.unit.format_map(_Values())}" * (self.unit != "1")
 
     def read(self, raw: Any, key: "KeyContext") -> CaseInput | None:
-        """The number of a key, or the numbers of the CSV that it names."""
+        """The number at a key, or the numbers of the CSV that the key names."""
         if raw is None:
             return None
         quantity = replace(self, unit=key.filled(self.unit))
@@ -116,7 +116,7 @@ class Quantity:
         return CaseInput(name, values, tuple(labels), self.unit, **(about | more))
 
     def cell(self, row: Row) -> float:
-        """The number in the column of a row, within the range."""
+        """The number in the column of a row, which must be in the range."""
         allowed = "" if self.range == ANY else str(self.range)
         number = row.number(self.column, *self.range.closed, allowed)
         if not self.limits.contains(number):
@@ -124,7 +124,7 @@ class Quantity:
         return number
 
     def checked(self, raw: Any, key: "KeyContext") -> float:
-        """A number of the TOML file within the range."""
+        """A number of the TOML file, which must be in the range."""
         if isinstance(raw, bool) or not isinstance(raw, int | float):
             raise key.error(raw, f"it must be {self.allowed}")
         if isinstance(raw, float) and not math.isfinite(raw):
@@ -168,7 +168,7 @@ class KeyContext(NamedTuple):
         return read_rows(FileReference(self.table, self.name, file), columns)
 
     def filled(self, unit: str) -> str:
-        """A unit with the values of other keys instead of their names in braces."""
+        """A unit in which the names of keys in braces are replaced by their values."""
         return unit.format_map(_Values(self.values))
 
 
@@ -181,7 +181,8 @@ ReadKey = Callable[[Any, KeyContext], Any]
 
 
 class Custom(NamedTuple):
-    """A field that is read by a function; `types`: the types of its values, for a JSON schema."""
+    """The declaration of a field that a function reads; `types`: the types of its values, for a
+    JSON schema."""
 
     read: ReadKey
     types: tuple[str, ...]
@@ -200,7 +201,7 @@ def custom(
     default: Any = ...,
     types: Sequence[str] = ("string",),
 ) -> Any:
-    """A field of a `Table` that a function reads; `allowed`: its values, as text."""
+    """A field of a `Table` that a function reads; `allowed`: the allowed values as text."""
     return declared(Custom(read, tuple(types)), default, meaning, allowed)
 
 
@@ -230,13 +231,15 @@ def _validator(read: ReadKey) -> core_schema.CoreSchema:
 
 
 def on_dates(table: CaseTable, days: Sequence[date], notes: list[str]) -> dict[str, CaseInput]:
-    """{key: numbers} of a table; those that may change with time are put on rising dates."""
+    """{key: numbers} of a table; numbers that may change with time are expanded to the rising dates
+    `days`."""
     numbers = {key: value for key, value in table if isinstance(value, CaseInput)}
     return {key: x.on(days, notes) if x.quantity.by else x for key, x in numbers.items()}
 
 
 def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
-    """Several of one quantity as one input, index [..., len(parts)]; they are numbered from 1."""
+    """Several inputs of one quantity as one input with index [..., len(parts)]; labels begin with
+    the number of the part, from 1."""
     starts = np.cumsum([0, *(len(part.values) for part in parts)])
     prefixes = [f"{i} " if len(parts) > 1 else "" for i in range(1, len(parts) + 1)]
     return replace(
@@ -251,7 +254,7 @@ def stacked(name: str, parts: Sequence[CaseInput]) -> CaseInput:
 
 
 def numbers_in(record: Any) -> Iterator[CaseInput]:
-    """All numbers in a record, in the records within it and in their tuples, without empty ones."""
+    """All numbers in a record, including the records and tuples within it, but no empty inputs."""
     if isinstance(record, CaseInput):
         if record.values.size:
             yield record
@@ -265,7 +268,7 @@ def numbers_in(record: Any) -> Iterator[CaseInput]:
 
 
 def by_name(numbers: Iterable[CaseInput]) -> dict[str, CaseInput]:
-    """{name: numbers} of a case; two inputs of one name are an error of its reader."""
+    """{name: numbers} of a case; two inputs with the same name are a fault of the reader."""
     named: dict[str, CaseInput] = {}
     for entry in numbers:
         if named.setdefault(entry.name, entry) is not entry:

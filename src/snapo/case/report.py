@@ -1,4 +1,4 @@
-"""`[report]` of every kind of case: texts and a picture of the user on the page of a run."""
+"""`[report]` of every kind of case: the user's texts and picture on the page of a run."""
 
 import base64
 from pathlib import Path
@@ -54,9 +54,9 @@ class ReportTable(CaseTable):
 
 
 def logo(folder: Path, name: str) -> str:
-    """The address of an image that contains the whole picture in a file next to a case.
+    """A data URL that contains the whole picture in a file next to a case.
 
-    **Raises:** `OSError`, and `ValueError` if the file is not only a picture, or too large.
+    **Raises:** `OSError`, and `ValueError` if the file is no pure picture or is too large.
     """
     if not name or Path(name).name != name or "\\" in name:
         raise ValueError("a name with a folder is not a file next to the case")
@@ -65,7 +65,7 @@ def logo(folder: Path, name: str) -> str:
         raise ValueError("there is no such file")
     content = file.read_bytes()
     if len(content) > LARGEST_LOGO:
-        raise ValueError(f"the file has {len(content):,} bytes")
+        raise ValueError(f"the file is too large: it has {len(content):,} bytes")
     if content.startswith(PNG):
         kind = "png"
     elif file.suffix.lower() == ".svg":
@@ -77,7 +77,7 @@ def logo(folder: Path, name: str) -> str:
 
 
 def _check_svg(content: bytes) -> None:
-    """**Raises:** `ValueError` if a drawing has scripts, or would load something."""
+    """**Raises:** `ValueError` if a drawing has scripts or would load another file."""
     import xml.etree.ElementTree as ElementTree  # late: few cases have a drawing
 
     before = content.partition(b"<svg")[0]
@@ -106,5 +106,5 @@ def _check_svg(content: bytes) -> None:
 
 
 def _local(tag: Any) -> str:
-    """The name without its namespace, in small letters; "" of a comment."""
+    """The name without its namespace, in small letters; "" for a comment."""
     return tag.rpartition("}")[2].lower() if isinstance(tag, str) else ""

@@ -11,7 +11,7 @@ MAX_STEPS = 1_000_000_000  # of training: JAX counts in 32 bits
 IN_MEMORY = Range(1, MAX_PATHS, note="; more do not fit in memory")
 STEPS = Range(1, noun="a number of steps")
 EVERY = STEPS._replace(
-    note="; by default 50, for a fitted rule 10, and in a short training a quarter of its steps"
+    note="; by default 50, or 10 after a fitted rule, and at most a quarter of the steps"
 )
 UP_TO_ONE = Range(0, 1, "(]")
 ObjectiveKey = Annotated[
@@ -21,7 +21,7 @@ TrainingKey = Annotated[dict[str, Any], subtable("how the policy is trained", "t
 EvaluationKey = Annotated[dict[str, Any], subtable("how the policy is valued", "evaluation", {})]
 PathCount = Annotated[int, IN_MEMORY._replace(low=64)]
 MaxPaths = Annotated[
-    int, Range(0, MAX_PATHS, note=": the largest number of paths to use; 0 for none")
+    int, Range(0, MAX_PATHS, note=": the largest number of paths to use; 0 for no such paths")
 ]
 
 
@@ -29,15 +29,19 @@ class TrainingTable(CaseTable):
     """`[training]`: how the policy is trained, with the fields of `snapo.Training`."""
 
     steps: Annotated[int, Range(0, MAX_STEPS)] = doc("training steps", 240)
-    paths: Annotated[int, IN_MEMORY._replace(low=2)] = doc("fresh paths in a training step", 512)
+    paths: Annotated[int, IN_MEMORY._replace(low=2)] = doc(
+        "number of fresh paths in a training step", 512
+    )
     learning_rate: Positive = doc("peak learning rate of the optimiser, Adam", 0.01)
     warmup: Annotated[int, STEPS._replace(low=0, high=MAX_STEPS)] = doc(
-        "steps in which the learning rate rises from zero to its peak", 20
+        "number of steps in which the learning rate rises from zero to its peak", 20
     )
     decay: Annotated[float, Range(0, 1e6)] = doc(
-        "decay of the weights in a step, relative to the learning rate", 0.0
+        "decay of the weights in a step, as a multiple of the learning rate", 0.0
     )
-    temperature_start: Positive = doc("temperature of the smoothed rules at the first step", 0.02)
+    temperature_start: Positive = doc(
+        "temperature (width of the smoothing) of the rules at the first step", 0.02
+    )
     temperature_end: Positive = doc(
         "temperature of the smoothed rules in the last quarter of the steps", 0.005
     )
@@ -45,17 +49,21 @@ class TrainingTable(CaseTable):
         "share of the steps over which the policy is averaged", 0.05
     )
     validation_paths: Annotated[int, IN_MEMORY] = doc(
-        "fresh paths of a validation, which measures the exact value and selects the best policy",
+        "number of fresh paths in a validation, which measures the exact value and selects the "
+        "best policy",
         4096,
     )
-    validation_every: Annotated[int, EVERY] | None = doc("steps between two validations", None)
+    validation_every: Annotated[int, EVERY] | None = doc(
+        "number of steps between two validations", None
+    )
     patience: Annotated[int, Range(1, noun="a number of validations")] | None = doc(
-        "number of validations without a new best value after which training stops, by default "
-        "never",
+        "number of validations without a new best value after which training stops; by default it "
+        "never stops early",
         None,
     )
     window: Annotated[int, STEPS] | Literal["auto"] = doc(
-        "number of steps of a window of backpropagation, after which a critic estimates the rest",
+        "number of steps in a window of backpropagation; a critic estimates the value after the "
+        "window",
         "auto",
     )
     clip: Positive | Literal["auto"] = doc("bound on the adjoint of a path at every step", "auto")
@@ -63,15 +71,15 @@ class TrainingTable(CaseTable):
         "share of the adjoint of a path that is passed from a step to the one before", "auto"
     )
     spread: Positive = doc(
-        "factor by which initial states are spread more widely, in training only", 1.0
+        "factor by which the spread of initial states is enlarged, in training only", 1.0
     )
     exploration: Annotated[float, Range(0, 1, "[)")] = doc(
         "share of each decision that is drawn at random in training; the share falls with the "
         "temperature",
         0.0,
     )
-    starts: Annotated[int, Range(1, noun="a number of initial weights")] = doc(
-        "number of initial networks from which training begins; it continues with the better ones",
+    starts: Annotated[int, Range(1, noun="a number of initial networks")] = doc(
+        "number of initial networks with which training begins; it continues with the better ones",
         1,
     )
     seed: Annotated[int, Range(0, 2**63 - 1)] = doc("seed of initial weights and scenarios", 0)
@@ -82,9 +90,8 @@ class TrainingTable(CaseTable):
     note="; by default it is chosen from the problem",
 )  # fmt: skip
 class FollowingTable(TrainingTable):
-    """`[training]` of a plant or of a user-defined simulator: six keys are chosen from the problem.
-
-    This applies to omitted keys, as in `snapo.Training`.
+    """`[training]` of a plant or a user-defined simulator: six keys have values chosen from the
+    problem. These values apply if the keys are omitted, as in `snapo.Training`.
     """
 
 
@@ -94,10 +101,10 @@ class FollowingTable(TrainingTable):
     note="; by default 0.001 if a mean is optimised from a fitted rule, else 0.01",
 )
 class FittedTable(TrainingTable):
-    """`[training]` of an energy contract, whose policy begins from a fitted value.
+    """`[training]` of an energy contract, whose policy begins from a fitted value function.
 
-    If that value is fitted to all risks of the prices and the objective is a mean, a few small
-    steps test whether training gains anything over it.
+    If this function is fitted to all risks of the prices and the objective is a mean, a few small
+    steps test whether training gains anything.
     """
 
 
@@ -107,23 +114,25 @@ AnyTraining = TypeVar("AnyTraining", bound=TrainingTable)
 class EvaluationTable(CaseTable):
     """`[evaluation]`: the fresh scenarios on which the exact value is measured."""
 
-    paths: PathCount = doc("fresh paths on which the policy is valued", 65536)
-    sensitivity_paths: PathCount = doc("paths of the sensitivities", 16384)
-    judge_paths: MaxPaths = doc("paths of the bumps that test the derivatives", 16384)
+    paths: PathCount = doc("number of fresh paths on which the policy is valued", 65536)
+    sensitivity_paths: PathCount = doc("number of paths for the sensitivities", 16384)
+    judge_paths: MaxPaths = doc("number of paths for the bumps that test the derivatives", 16384)
     search_paths: MaxPaths = doc(
-        "paths of the search around the policy, which measures the policy's part of every interval",
+        "number of paths in the search around the policy, which measures the policy's part of "
+        "every interval",
         16384,
     )
     selection_paths: MaxPaths = doc(
-        "paths of the final choice between the trained policies and the starting rule", 16384
+        "number of paths in the final choice between the trained policies and the starting rule",
+        16384,
     )
     scenarios: Literal["pseudo-random", "sobol"] = doc(
-        "random numbers in valuation", "pseudo-random"
+        "kind of random numbers in the valuation", "pseudo-random"
     )
 
 
 class ObjectiveTable(CaseTable):
-    """`[objective]`: the figure to maximise; `kind` determines which of the other keys apply."""
+    """`[objective]`: the statistic to maximise; `kind` determines which of the other keys apply."""
 
     kind: Literal["mean", "cvar", "mean-variance", "entropic", "crra", "target"] = doc(
         "statistic of the paths that is maximised", "mean"
@@ -132,7 +141,7 @@ class ObjectiveTable(CaseTable):
         'confidence level: "cvar" is the mean of the worst 1 - level of the paths', None
     )
     risk_aversion: Positive | None = doc(
-        'risk aversion: of "mean-variance" and "entropic" in 1/currency, of "crra" a pure number',
+        'risk aversion: in 1/currency for "mean-variance" and "entropic", a pure number for "crra"',
         None,
     )
     wealth: Positive | None = doc(
@@ -142,7 +151,7 @@ class ObjectiveTable(CaseTable):
 
     @property
     def keeps_unit(self) -> bool:
-        """Whether the figure has the unit of the output."""
+        """Whether the statistic has the unit of the output."""
         return self.kind in ("mean", "cvar", "entropic")
 
 
@@ -177,10 +186,9 @@ def read_objective(
 
 
 def read_weight(data: Mapping, objective: ObjectiveTable, file: str, name: str) -> float:
-    """`weight` of one of several objectives that are added up, 1 if it is left out.
-
-    A negative weight turns a risk measure into that of a cost (see `snapo.problem.objective`), but
-    not a utility.
+    """The `weight` of one of several objectives that are added up; 1 if it is omitted. A negative
+    weight turns a risk measure into the risk measure of a cost (see `snapo.problem.objective`); a
+    utility needs a positive weight.
     """
     weight = data.get("weight", 1.0)
     if isinstance(weight, bool) or not isinstance(weight, int | float) or not weight:
@@ -199,13 +207,11 @@ def read_training(
     training = parse(table, data, file, "training")
     if training.temperature_end > training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
-        message = f"it must be at most temperature_start, {training.temperature_start:g}"
+        message = f"it must be at most temperature_start, which is {training.temperature_start:g}"
         raise CaseError(file, where, value, message)
     if training.exploration and training.temperature_end == training.temperature_start:
         where, value = "training.temperature_end", training.temperature_end
-        message = (
-            "with exploration, which falls with the temperature, it must be below temperature_start"
-        )
+        message = "exploration falls with the temperature, so it must be below temperature_start"
         raise CaseError(file, where, value, message)
     return training
 
@@ -214,7 +220,7 @@ def check_window(training: TrainingTable, kinds: Iterable[str], file: str) -> No
     """Refuses training on windows for objectives that have no continuation value."""
     for kind in kinds:
         if training.window != "auto" and kind != "mean":
-            message = f'windows need an objective of kind "mean", but this one is "{kind}"'
+            message = f'windows need an objective of kind "mean", but the kind is "{kind}"'
             raise CaseError(file, "training.window", training.window, message)
 
 

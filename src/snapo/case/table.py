@@ -1,8 +1,7 @@
-"""The common part of the case formats of all domains: one TOML file, plain files next to it, clear
-errors.
+"""The common part of the case formats of all domains: one TOML file with plain files next to it.
 
 A case is data: nothing in it is executed, and the files that it names are in its folder. The
-records here are NumPy and the standard library; pydantic checks the tables at this border.
+records consist of NumPy arrays and standard types; pydantic is used only to check the tables.
 """
 
 import datetime
@@ -33,7 +32,7 @@ class Range(NamedTuple):
 
     - `endpoints`: "[)" if the upper endpoint is excluded, "(]" the lower one, "()" both.
     - `note`: text that follows, such as ": the mean of ln S".
-    - `noun`: the word for one of its numbers; "" means "a number", or "a whole number" for
+    - `noun`: the noun for a number of the range; "" means "a number", or "a whole number" for
       integers.
     """
 
@@ -94,9 +93,8 @@ class Range(NamedTuple):
 
 @dataclass(frozen=True)
 class TableContext:
-    """A table of a case while it is read: names the place of a mistake, collects remarks.
-
-    `path`: the keys to it, if they differ from its name in messages.
+    """A table of a case while it is read: names the position of a mistake and collects notes.
+    `path`: the keys that lead to the table, if they differ from its name in messages.
     """
 
     file: Path
@@ -116,7 +114,7 @@ class TableContext:
         return CaseError(str(self.file), f"{self.name}.{key}", value, allowed)
 
     def nested(self, table: "type[AnyTable]", data: Any, key: str) -> "AnyTable":
-        """The table `key` within this one, checked as by `parse`."""
+        """The table `key` within this one, checked as in `parse`."""
         return parse(table, data, str(self.file), f"{self.name}.{key}", self.notes)
 
 
@@ -127,8 +125,8 @@ def keys_of(name: str) -> tuple[str | int, ...]:
 
 
 def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
-    """The values of a type as text: a number of a `Range`, one of a few texts, or one of several
-    such types; None for another type."""
+    """The values of a type as text. The type is a `Range` of numbers, a few texts, or a union of
+    such types; None for any other type."""
     origin, parts = get_origin(annotation), get_args(annotation)
     if origin is Annotated:
         return allowed_text(parts[0], parts[1:])
@@ -150,8 +148,8 @@ def allowed_text(annotation: Any, metadata: Iterable[Any] = ()) -> str | None:
 
 def doc(meaning: str, default: Any = ..., allowed: str = "", **more: Any) -> Any:
     """A field of a `CaseTable` with its meaning; the key is required if the field has no default.
-    `allowed`: the allowed values as text, if the type does not state them; `more`: as for
-    `pydantic.Field`.
+    `allowed`: the allowed values as text, if the type does not show them; `more`: further arguments
+    of `pydantic.Field`.
     """
     return Field(default, title=meaning, **({"description": allowed} if allowed else {}), **more)
 
@@ -171,7 +169,7 @@ class CaseTable(pydantic.BaseModel):
     """A strict TOML table: no unknown keys, no conversions, no NaN or infinite numbers.
 
     The title of a field is its meaning, and its description is the text of the allowed values in
-    messages. Without a description `allowed_text` makes this text from the type, as far as it can.
+    messages. Without a description, `allowed_text` makes this text from the type if it can.
     """
 
     # Built at the first use: of the tables of all kinds, a case has a few.
@@ -192,7 +190,8 @@ class CaseTable(pydantic.BaseModel):
 
     @classmethod
     def __get_pydantic_json_schema__(cls, source: Any, handler: Any) -> dict[str, Any]:
-        """Every key with its text for an editor; None and "" are no defaults."""
+        """The schema, with a text for an editor at every key; None and "" do not count as
+        defaults."""
         reference = handler(source)
         table = handler.resolve_ref_schema(reference)
         del table["title"]
@@ -222,8 +221,8 @@ AnyTable = TypeVar("AnyTable", bound=CaseTable)
 
 
 def optional(*keys: str, note: str) -> Callable[[type[AnyTable]], type[AnyTable]]:
-    """Decorates a table of which these numbers may be left out, and are None then; `note` follows
-    the text of their range."""
+    """Decorates a table whose numbers at `keys` may be omitted and are then None; `note` is added
+    to the text of their range."""
 
     def decorated(table: type[AnyTable]) -> type[AnyTable]:
         changes: dict[str, Any] = {"__doc__": table.__doc__, "__module__": table.__module__}
@@ -238,7 +237,7 @@ def optional(*keys: str, note: str) -> Callable[[type[AnyTable]], type[AnyTable]
 
 
 def not_utf8(error: UnicodeDecodeError) -> str:
-    """The sentence about a text file in another encoding, with the line and the byte."""
+    """The message for a text file in another encoding, with the line and the byte."""
     raw = error.object
     line = raw.count(b"\n", 0, error.start) + 1
     return f"byte 0x{raw[error.start]:02x} on line {line} is not UTF-8; save the file as UTF-8"
@@ -246,8 +245,7 @@ def not_utf8(error: UnicodeDecodeError) -> str:
 
 class TableRead(NamedTuple):
     """A table of a case that was checked: its name in messages, its data, and its options.
-    `options`: {key: the texts and truth values that it may have}, for keys with several possible
-    values.
+    `options`: {key: the strings and booleans that it may have}, for keys with several such values.
     """
 
     name: str
@@ -298,7 +296,8 @@ def parse(
 ) -> AnyTable:
     """Checks the TOML table `data`, called `name` in messages; collects all of its mistakes.
 
-    `notes`, `path`: those of the `TableContext` that the readers of its keys receive.
+    `notes`, `path`: the notes and the path of the `TableContext` that the readers of its keys
+    receive.
     """
     if (tables := _tables_read.get()) is not None:
         fields = {field.alias or key: field for key, field in table.model_fields.items()}
@@ -326,7 +325,7 @@ def parse(
 
 
 def _check_sizes(table: CaseTable, file: str, name: str) -> None:
-    """Numbers that would overflow and overlong texts are a mistake in every key."""
+    """Refuses numbers that would overflow, and texts that are too long, at every key."""
     for key in table.model_fields_set:
         where = f"{name}.{key}" if name else key
         message = f"it must be {type(table).model_fields[key].description}"
@@ -339,7 +338,7 @@ def _check_sizes(table: CaseTable, file: str, name: str) -> None:
 
 
 def _plain(value: Any) -> Iterator[Any]:
-    """A value, or all those in its lists."""
+    """A value, or all values in its lists."""
     if isinstance(value, list):
         for item in value:
             yield from _plain(item)

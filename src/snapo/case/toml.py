@@ -1,5 +1,5 @@
-"""Writes the tables of a case as TOML, which Python can read but not write. It also explains dates
-and times that do not exist, which Python's reader refuses without a reason.
+"""Writes the tables of a case as TOML, which Python's standard library can only read. It also
+explains why a date or time does not exist, which Python's reader does not.
 """
 
 import calendar
@@ -21,7 +21,7 @@ MOMENT = re.compile(
 
 
 def to_toml(data: Mapping[str, Any]) -> str:
-    """Text that `tomllib` reads as `data`; numbers keep all their digits, without comments.
+    """The text that `tomllib` reads as `data`. Numbers keep all their digits; comments are lost.
 
     **Raises:** `TypeError` for a value that TOML does not have.
     """
@@ -48,7 +48,8 @@ def impossible_moment(text: str) -> tuple[str, str] | None:
 
 
 def _fault(match: re.Match) -> str:
-    """The reason why a date or time does not exist; "" if it is only written in another way."""
+    """The reason why a date or time does not exist; "" if it exists but is written in another
+    way."""
     year, month, day = (int(part or 1) for part in match.group(1, 2, 3))
     if not year:
         return "there is no year 0000"
@@ -64,7 +65,8 @@ def _fault(match: re.Match) -> str:
 
 
 def _table(data: Mapping[str, Any], name: str) -> Iterator[str]:
-    """Plain keys first, then the tables below: after a header, keys belong to it."""
+    """Writes plain keys first, then the tables within: keys after a header belong to that
+    header."""
     tables = {key: value for key, value in data.items() if _is_table(value)}
     for key, value in data.items():
         if key not in tables:

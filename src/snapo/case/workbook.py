@@ -1,4 +1,4 @@
-"""A workbook as the case that it contains: its sheets as TOML and CSV files in a folder next to it.
+"""Reads a workbook as a case: its sheets become TOML and CSV files in a folder next to it.
 
 Formulas are read as the values that the spreadsheet program stored, and never evaluated.
 """
@@ -27,11 +27,12 @@ TEXT = "TOML"  # the word next to a value that is written as TOML
 
 
 class Unreadable(ValueError):
-    """A key or a value of a sheet that no case can have; the message is the reason."""
+    """A key or a value of a sheet that is not possible in a case; the message is the reason."""
 
 
 def lines(data: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-    """(key, value, "" or "TOML") of all plain values; a list or any other value is TOML text."""
+    """(key, value, "" or "TOML") of all values; a value that is not plain, such as a list, is TOML
+    text."""
     for key, value in data.items():
         yield from _lines(_quoted(key), value)
 
@@ -54,12 +55,12 @@ def _quoted(key: str) -> str:
 
 
 def is_kept(number: float) -> bool:
-    """Whether a number is exact with sixteen digits, the number of digits that openpyxl writes."""
+    """Whether sixteen digits, the number that openpyxl writes, represent a number exactly."""
     return float(f"{number:.16g}") == number
 
 
 def _is_plain(value: Any) -> bool:
-    """Whether a cell of a spreadsheet holds this value unchanged."""
+    """Whether a cell of a spreadsheet can hold this value unchanged."""
     if isinstance(value, bool):
         return True
     if isinstance(value, int | float):
@@ -74,7 +75,7 @@ def _is_plain(value: Any) -> bool:
 def tables(result: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
     """The inverse of `lines`.
 
-    **Raises:** `Unreadable` for a key that is invalid, duplicate, or contradicts another.
+    **Raises:** `Unreadable` for a key that is invalid, occurs twice, or contradicts another key.
     """
     data: dict[str, Any] = {}
     for key, value, kind in result:
@@ -82,7 +83,7 @@ def tables(result: Iterable[tuple[str, Any, str]]) -> dict[str, Any]:
             try:
                 (value,) = tomllib.loads(f"x = [{value}]")["x"]
             except (tomllib.TOMLDecodeError, ValueError, RecursionError):
-                message = f"{str(value)[:60]!r} is not a value as TOML writes it"
+                message = f"{str(value)[:60]!r} is not a valid value in TOML"
                 raise Unreadable(f"{key}: {message}") from None
         _put(data, key, value)
     return data
@@ -120,13 +121,17 @@ def _put(data: dict[str, Any], key: str, value: Any) -> None:
                 raise Unreadable(f"{key} appears twice")
         else:
             if not isinstance(here, dict):
-                raise Unreadable(f"{key}: write an entry of a list with its number, such as [0]")
+                raise Unreadable(
+                    f"{key}: this key is a list; write the number of an entry after it, such as [0]"
+                )
             if last and step in here:
                 raise Unreadable(f"{key} appears twice")
             here.setdefault(step, empty)
         here = here[step]  # pyright: ignore
         if not last and not isinstance(here, dict | list):
-            raise Unreadable(f"{key}: this key has a value already, so it cannot be a table")
+            raise Unreadable(
+                f"{key}: a part of this key already has a value, so it cannot be a table"
+            )
 
 
 TOP, HEAD = "case", ("key", "value", "as", "note")
@@ -177,7 +182,7 @@ def _name(requested: str, taken: list[str]) -> str:
         or requested.lower() in map(str.lower, taken)
     ):
         message = (
-            "a sheet cannot have this name; rename the table or the file, at most 31 characters"
+            "a sheet cannot have this name; rename the table or the file (at most 31 characters)"
         )
         raise CaseError(requested, "", None, message)
     return requested
@@ -200,7 +205,7 @@ def _fill(cell: Any, value: Any) -> None:
 
 
 def _notes(file: Path) -> dict[str, str]:
-    """The comment behind each key of a TOML file, by the key's last word."""
+    """The comment after each key of a TOML file, by the last part of the key."""
     if not file.is_file():
         return {}
     result = map(NOTE.match, file.read_text(encoding="utf-8").splitlines())
@@ -217,7 +222,7 @@ def _rows(file: Path) -> list[list[Any]]:
 
 
 def _native(cell: str) -> Any:
-    """A number or a day where the text is exactly one; else the text."""
+    """A number or a day if the text represents one exactly; otherwise the text."""
     if DAY.fullmatch(cell) and cell >= "1901":
         try:
             return datetime.date.fromisoformat(cell)
@@ -268,7 +273,7 @@ def unpacked(file: Path) -> Path:
             if item.is_file() and item.suffix.lower() in suffixes:
                 shutil.copyfile(item, folder / item.name)
     except OSError as error:
-        message = f"its tables cannot be written to {folder} ({error.strerror})"
+        message = f"the tables of the workbook cannot be written to {folder} ({error.strerror})"
         raise CaseError(str(file), "", None, message) from None
     return folder
 
@@ -280,7 +285,7 @@ def _book(file: Path) -> Any:
         raise CaseError(str(file), "", None, NEEDED) from None
     try:
         if file.stat().st_size > LARGEST:
-            raise ValueError("it is larger than 100 MB")
+            raise ValueError("the workbook is larger than 100 MB")
         values, written = (load_workbook(file, data_only=item) for item in (True, False))
     except Exception as error:  # a damaged archive can be anything
         message = f"this is not a workbook that can be read ({type(error).__name__}: {error})"
@@ -291,7 +296,8 @@ def _book(file: Path) -> Any:
                 if cell.data_type == "f" and values[sheet.title][cell.coordinate].value is None:
                     where = f"sheet {sheet.title}, cell {cell.coordinate}"
                     message = (
-                        "this formula has no stored value; save the file in a spreadsheet program"
+                        "this formula has no stored value; open the file in a spreadsheet program "
+                        "and save it"
                     )
                     raise CaseError(str(file), where, str(cell.value), message)
     return values
@@ -300,7 +306,7 @@ def _book(file: Path) -> Any:
 def _plain_name(file: Path, title: str) -> str:
     if not CSV.fullmatch(title):
         message = (
-            "the sheet of a CSV has the name of the file: letters, digits, - and _, such "
+            "the sheet of a CSV has the name of the CSV, with letters, digits, - and _ only, such "
             "as curve.csv"
         )
         raise CaseError(str(file), f"sheet {title}", None, message)

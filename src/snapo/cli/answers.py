@@ -8,7 +8,7 @@ from typing import Any
 
 
 def by_seed(result: Mapping[str, Any]) -> list[str]:
-    """The table of `--seeds` for a reader."""
+    """The table of `--seeds` as text."""
     lines = [f"{'seed':>8}{'value':>18}{'below the best':>30}{'seconds':>10}   verdict"]
     for row in result["rows"]:
         below = "the best"
@@ -44,7 +44,7 @@ def _two_digits(value: float) -> str:
 
 
 def summary(result: Mapping[str, Any]) -> str:
-    """The result for a reader: the value, the further figures, and the folder of the run."""
+    """The result as text: the value, further figures, and the folder of the run."""
     seeds = by_seed(result["seeds"]) if result.get("seeds") else []
     lines = [*seeds, f"{result.get('kind', '')}: {result.get('status', '')}"]
     for key in ("value", "smooth_value", "smoothing_gap"):
@@ -77,14 +77,14 @@ def summary(result: Mapping[str, Any]) -> str:
 
 
 def _report_of(result: Mapping[str, Any]) -> Path:
-    """The report, by the shortest name of its run."""
+    """The path of the report, with the shortest name of its run."""
     from snapo.study.runs.store import shown
 
     return shown(Path(result["run"])) / "report.html"
 
 
 def bounds(result: Mapping[str, Any]) -> str:
-    """The bounds for a reader: each with its 95 % interval."""
+    """The bounds as text, each with its 95 % interval."""
     results = result.get("bound") or {}
     lines = [f"{result.get('kind', '')}: 95 % intervals, {results.get('paths', 0):,} paths"]
     for name in ("lower", "upper", "gap"):
@@ -99,7 +99,8 @@ def bounds(result: Mapping[str, Any]) -> str:
 
 
 def _figure(value: float) -> str:
-    """Money to the cent; small numbers, such as a utility, with significant digits."""
+    """Money to the cent; small numbers, such as a utility, with a fixed number of significant
+    digits."""
     return f"{value:,.2f}" if abs(value) >= 10 else f"{value:,.6g}"
 
 

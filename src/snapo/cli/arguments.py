@@ -1,6 +1,7 @@
-"""Converts texts of the command line to the values of options, and refuses invalid ones.
+"""Converts texts of the command line to the values of options, and refuses invalid texts.
 
-Also the arguments of commands on past prices and on runs, and of `schema`, `cache`, `completion`.
+Also declares the arguments of the commands on past prices and on runs, and of `schema`, `cache` and
+`completion`.
 """
 
 import argparse
@@ -11,7 +12,7 @@ RUN = "a run folder, or a case, which means its latest run"
 
 
 def seeds(text: str) -> int | tuple[int, ...]:
-    """The number of seeds, "5"; or the seeds, "0,3,7"."""
+    """The seeds, written as their number, "5", or as a list, "0,3,7"."""
     parts = text.split(",")
     if not all(part.isascii() and part.isdigit() and int(part) < 2**63 for part in parts):
         message = "is neither a number of seeds, such as 5, nor a list of them, such as 0,3,7"
@@ -24,7 +25,7 @@ def seeds(text: str) -> int | tuple[int, ...]:
     if len(parts) > 1:
         return seeds
     if not int(text):
-        raise argparse.ArgumentTypeError(f"{text!r} is too small a number of seeds; use 1 or more")
+        raise argparse.ArgumentTypeError(f"{text!r} seeds are too few; use 1 or more")
     return int(text)
 
 
@@ -44,7 +45,9 @@ def shard(text: str) -> tuple[int, int]:
     number, _, count = text.partition("/")
     digits = (number + count).isascii() and number.isdigit() and count.isdigit()
     if not digits or not 1 <= int(number) <= int(count):
-        raise argparse.ArgumentTypeError(f"{text!r} is not a part such as 3/100, from 1/100 on")
+        raise argparse.ArgumentTypeError(
+            f"{text!r} is not a part such as 3/100; the first part is 1/100"
+        )
     return int(number), int(count)
 
 
@@ -70,7 +73,7 @@ def simulator_class(text: str) -> tuple[str, str]:
 
 
 def calendar(text: str) -> str | int:
-    """The schedule of a back-test's estimates of its model."""
+    """The schedule on which a back-test estimates its model again."""
     if text in ("never", "month", "quarter", "year"):
         return text
     try:
@@ -98,8 +101,8 @@ def add_past(commands) -> None:
         "--run",
         metavar="RUN",
         type=Path,
-        help="a run with this model: adds the interval of its value that is due to the errors of "
-        "the estimates",
+        help="a run with this model; adds the interval of its value due to the errors of the "
+        "estimates",
     )
     backtest = commands.add_parser(
         "backtest",
@@ -120,15 +123,15 @@ def add_past(commands) -> None:
         "--every",
         metavar="N",
         type=whole_number,
-        help="days from one solution to the next; each uses the curve of its date (default: 30, "
-        "or whenever the model is estimated again)",
+        help="days from one solution to the next; every solution uses the curve of its date "
+        "(default: 30, or the schedule of --calibrate)",
     )
     backtest.add_argument(
         "--calibrate",
         metavar="WHEN",
         type=calendar,
-        help="estimate the model again: never, on the first day of each month, quarter or year, or "
-        "after a number of days (default: `calibrate` of [backtest])",
+        help="when to estimate the model again: never, on the first day of each month, quarter or "
+        "year, or after a number of days (default: `calibrate` of [backtest])",
     )
     backtest.add_argument(
         "--hedge",
@@ -162,8 +165,8 @@ def add_explain(commands) -> None:
         "--flows",
         metavar="FILE",
         type=Path,
-        help="for a gas store: CSV of the flows on the days between the two valuation dates: "
-        "date,volume,price, volumes into the store above 0 (default: from the inventories, at "
+        help="for a gas store: CSV (date,volume,price) of the flows on the days between the two "
+        "valuation dates; volumes into the store are positive (default: from the inventories, at "
         "forward prices)",
     )
     explain.add_argument(
@@ -183,13 +186,13 @@ def add_explain(commands) -> None:
 
 def add_compare(commands) -> None:
     """`snapo compare`."""
-    compare = commands.add_parser("compare", help="compare runs with the first one")
+    compare = commands.add_parser("compare", help="compare runs with the first of them")
     compare.add_argument("runs", metavar="RUN", type=Path, nargs="+", help=RUN)
 
 
 def add_runs(commands) -> None:
     """`snapo runs`."""
-    runs = commands.add_parser("runs", help="list the runs of a case, or remove old ones")
+    runs = commands.add_parser("runs", help="list the runs of a case, or remove old runs")
     runs.add_argument(
         "case", metavar="CASE", type=Path, help="a case: its folder, or its TOML file"
     )
@@ -198,7 +201,7 @@ def add_runs(commands) -> None:
         metavar="RUN",
         nargs="+",
         default=[],
-        help="runs to remove: their names, or the last four characters of these",
+        help="runs to remove: their names, or the last four characters of the names",
     )
     runs.add_argument(
         "--keep", metavar="N", type=whole_number, help="remove all runs except the last N"
@@ -218,7 +221,7 @@ def add_schema(commands) -> None:
 def add_cache(commands) -> None:
     """`snapo cache`."""
     cache = commands.add_parser(
-        "cache", help="show the compiled code stored for later runs, or remove it"
+        "cache", help="show the size of the compiled code stored for later runs, or remove it"
     )
     cache.add_argument("--empty", action="store_true", help="remove all of the stored code")
 

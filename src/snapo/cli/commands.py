@@ -1,4 +1,5 @@
-"""Each command: calls `snapo.study.commands`, prints the answer, and gives the exit code."""
+"""The functions of the commands: they call `snapo.study.commands`, print the answer, and return the
+exit code."""
 
 import argparse
 import errno
@@ -27,7 +28,7 @@ FAULTS = (errno.ENOSPC, errno.EDQUOT, errno.EIO)  # of a disk, not of a name
 
 
 def run(options: argparse.Namespace) -> int:
-    """Runs the command that `options` name; mistakes in the input become one message."""
+    """Runs the command that `options` name; a mistake in the input is reported as one message."""
     available = {
         "new": _new,
         "check": _check,
@@ -65,7 +66,9 @@ def run(options: argparse.Namespace) -> int:
         say("snapo: interrupted")
         result = getattr(stop, "result", None)  # of a run of `snapo solve`, up to here
         result = result if isinstance(result, Mapping) else {}
-        text = f"{summary(result)}\nto continue: the same command with --resume" if result else ""
+        text = (
+            f"{summary(result)}\nto continue, run the same command with --resume" if result else ""
+        )
         answer, code = {**result, "status": "interrupted"}, INTERRUPTED
     if options.json:
         print(to_json(answer))
@@ -76,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
 
 @contextmanager
 def stoppable() -> Iterator[None]:
-    """SIGTERM is treated as an interrupt: finished work is reported first."""
+    """Treats SIGTERM as an interrupt: finished work is reported before the process ends."""
     if threading.current_thread() is not threading.main_thread():
         yield
         return
@@ -158,7 +161,7 @@ def _solve(options: argparse.Namespace) -> Answer:
 
 
 def _workers(options: argparse.Namespace) -> "AbstractContextManager[Workers | None]":
-    """The workers of `--on` or `--workers`; nothing is imported without them."""
+    """The workers of `--on` or `--workers`; without these options nothing is imported."""
     if not (options.on or options.workers):
         return nullcontext()
     from snapo.book.executors import worker_pools
@@ -214,7 +217,7 @@ def _cell(value: Any) -> str:
 
 
 def _is_book(path: Path) -> bool:
-    """Whether a file says that it is a book; whatever is wrong with it is said by its reader."""
+    """Whether a file is marked as a book; its reader reports any mistakes in it."""
     from snapo.case.load import load
 
     try:

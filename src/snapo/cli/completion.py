@@ -1,9 +1,9 @@
-"""Completion in other programs: commands in a shell, the keys of a case in an editor.
+"""Completion in other programs: commands in a shell and the keys of a case in an editor.
 
 `snapo completion SHELL` prints a script for the shell, made from the arguments of the command, and
-`snapo schema KIND` the JSON schema of a kind of case, made from the tables of its reader. Ranges,
-options and descriptions are those of the tables; checks that depend on other keys are left to
-`snapo check`.
+`snapo schema KIND` the JSON schema of a kind of case, made from the tables of its reader. The
+schema has the ranges, options and descriptions of the tables; checks that depend on other keys are
+left to `snapo check`.
 """
 
 import argparse
@@ -49,7 +49,7 @@ def _commands(parser: argparse.ArgumentParser) -> Iterator[tuple[str, argparse.A
 
 
 def _options(parser: argparse.ArgumentParser) -> dict[str, list[str]]:
-    """{option: the values that may follow it}."""
+    """{option: its possible values}."""
     return {
         text: [str(choice) for choice in action.choices or ()]
         for action in parser._actions
@@ -59,7 +59,7 @@ def _options(parser: argparse.ArgumentParser) -> dict[str, list[str]]:
 
 
 def _words(parser: argparse.ArgumentParser) -> list[str]:
-    """The values that an argument may have."""
+    """The possible values of an argument."""
     results = [
         str(choice)
         for action in parser._actions
@@ -173,12 +173,13 @@ def _nested(name: str, table: dict[str, Any]) -> dict[str, Any]:
 
 
 def _or_plain(schema: Mapping[str, Any], table: dict[str, Any]) -> dict[str, Any]:
-    """The table of a key, or one of the plain values that its own schema allows besides a table."""
+    """The schema of a key that may have a table, or one of the plain values that the schema of the
+    key also allows."""
     types = schema.get("type", "")
     others = [] if isinstance(types, str) else [name for name in types if name != "object"]
     return {"anyOf": [{"type": others}, table]} if others else table
 
 
 def _about(schema: Mapping[str, Any]) -> dict[str, Any]:
-    """The description of a key, without its type."""
+    """The part of a key's schema that describes it, without its type."""
     return {"description": schema["description"]}

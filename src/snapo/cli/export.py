@@ -83,7 +83,7 @@ def export(
 
 
 def _setup(run: Path, record: dict, simulator: tuple[str, str] | None) -> Setup:
-    """The problem of a run, from the copy of its case."""
+    """The problem of a run, made from the run's copy of the case."""
     domain = domain_of_run(run, record, simulator)
     case = domain.read(*case_of_run(run, record))
     study = domain.study(case, options_of_run(domain, case, record, "auto"))
@@ -93,10 +93,10 @@ def _setup(run: Path, record: dict, simulator: tuple[str, str] | None) -> Setup:
 
 
 def decisions_on_paths(problem: Problem, policy: Policy) -> tuple[list[str], list[tuple]]:
-    """Names and rows of a table: path, step, numbers of the state, observation, decision.
+    """Names and rows of a table with path, step, numbers of the state, observation and decision.
 
-    The rows are all steps of the first paths of the evaluation. The observation of a policy with a
-    memory ends with the memory, and its decision ends with the next memory.
+    The rows are all steps of the first paths of the evaluation. If the policy has a memory, the
+    last columns of the observation are the memory, and those of the decision are the next memory.
     """
     size, problem = problem.action.size, remembering(problem, policy)
     simulator, source = problem.simulator, problem.sources.evaluation

@@ -29,7 +29,7 @@ from .arguments import (
 
 ENGINES = ("auto", "xla", "native")
 PENALTIES = ("none", "value", "trained")
-ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native where it can"
+ENGINE = "native compiles the simulator for CPUs, xla uses JAX; auto uses native if possible"
 EXTRAS = {  # and the packages that they bring
     "cli": ("pydantic", "jinja2", "matplotlib", "scipy"), "pharma": ("diffrax", "pint"),
     "live": ("aiohttp",), "xlsx": ("openpyxl",), "parquet": ("pyarrow",), "book": ("duckdb",),
@@ -41,8 +41,8 @@ CASE = "a TOML file, a folder with case.toml, or a workbook (.xlsx)"
 def main(arguments: Sequence[str] | None = None) -> int:
     """Runs one command and returns its exit code.
 
-    0: done; 1: the command failed; 2: the input is wrong; 130: it was interrupted; 141: the reader
-    of the output, such as `head`, has closed it.
+    0: done; 1: the command failed; 2: the input is wrong; 130: the command was interrupted; 141:
+    the program that reads the output, such as `head`, has closed it.
     """
     options = _parser().parse_args(arguments)
     try:
@@ -74,8 +74,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
 def _parser() -> argparse.ArgumentParser:
     parser = argparse.ArgumentParser(
         prog="snapo",
-        description="Trains a decision rule inside a differentiable simulator, and returns its "
-        "value with the sensitivity to every input.",
+        description="Trains a decision rule inside a differentiable simulator, and returns the "
+        "value of the rule with its sensitivity to every input.",
         epilog="start with: snapo new gas-storage mystore && snapo solve mystore",
     )
     parser.add_argument("--version", action="version", version=f"snapo {__version__}")
@@ -117,7 +117,7 @@ def _add_new(commands) -> None:
         metavar="DIR",
         type=Path,
         nargs="?",
-        help="folder of the case, created if it does not exist; no file is overwritten",
+        help="folder of the case, which is created if it does not exist; no file is overwritten",
     )
     new.add_argument("--size", metavar="SIZE", help="size of the example, if the kind has several")
     new.add_argument(
@@ -148,7 +148,7 @@ def _add_solve(commands) -> None:
     solve.add_argument(
         "--reference",
         action="store_true",
-        help="also compute exact values, for comparison, if there is a method",
+        help="also compute an exact value for comparison, if there is a method for this case",
     )
     solve.add_argument(
         "--ladder",
@@ -176,7 +176,8 @@ def _add_solve(commands) -> None:
         "--seeds",
         metavar="N",
         type=seeds,
-        help="train with N consecutive seeds, or those of a list (0,3,7); keep the best run",
+        help="train with N consecutive seeds, or with the seeds of a list (0,3,7); keep the best "
+        "run",
     )
     _add_workers(
         solve, "number of processes on this machine that share the paths of a large problem"
@@ -184,7 +185,9 @@ def _add_solve(commands) -> None:
 
 
 def _add_book(commands) -> None:
-    book = commands.add_parser("book", help="value a book of contracts, under stresses, on workers")
+    book = commands.add_parser(
+        "book", help="value a book of contracts under stresses, on several workers"
+    )
     book.add_argument(
         "book", metavar="BOOK", type=Path, help="a TOML file; with --sql, the folder of its results"
     )
@@ -228,7 +231,7 @@ def _add_workers(parser: argparse.ArgumentParser, processes: str) -> None:
 def _add_sweep(commands) -> None:
     sweep = commands.add_parser(
         "sweep",
-        help="value a case over ranges of its numbers, with a table and a picture",
+        help="value a case over ranges of its numbers; returns a table and a picture",
         epilog="snapo sweep mystore --set contract.injection_cost=0:0.1:5 "
         "--set contract.max_inventory=4000:8000:3",
     )
@@ -239,7 +242,7 @@ def _add_sweep(commands) -> None:
         dest="assignments",
         action="append",
         default=[],
-        help="a key of the case and its N values from FIRST to LAST, a list of them (1,2,5), or "
+        help="a key of the case and its values: N values from FIRST to LAST, a list (1,2,5), or "
         "one value; repeatable: all combinations are valued",
     )
     sweep.add_argument("--seed", metavar="N", type=seed, help="the same as --set training.seed=N")
@@ -284,8 +287,8 @@ def _add_certify(commands) -> None:
         "--penalty",
         choices=PENALTIES,
         default="value",
-        help="the penalty for foresight: none, a fitted value function, or one scaled to minimise "
-        "the bound",
+        help="the penalty for foresight: none, a fitted value function, or a fitted value "
+        "function scaled to minimise the bound",
     )
     certify.add_argument("--engine", choices=ENGINES, default="auto", help=ENGINE)
     _add_simulator(certify)
@@ -347,7 +350,9 @@ def _add_open(commands) -> None:
 
 
 def _add_bench(commands) -> None:
-    bench = commands.add_parser("bench", help="time values and gradients on this machine")
+    bench = commands.add_parser(
+        "bench", help="measure the time of values and gradients on this machine"
+    )
     bench.add_argument(
         "kind", metavar="KIND", nargs="?", help="kind of case (default: all that are installed)"
     )
@@ -374,7 +379,8 @@ def _add_simulator(parser: argparse.ArgumentParser) -> None:
         "--simulator",
         metavar="MODULE:CLASS",
         type=simulator_class,
-        help='simulator class of a case of kind "own", next to the case or in the current folder',
+        help='simulator class of a case of kind "own"; its module is next to the case or in the '
+        "current folder",
     )
 
 

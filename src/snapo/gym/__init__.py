@@ -1,4 +1,4 @@
-"""Gymnasium: a simulator as an environment, and a policy in any environment.
+"""Gymnasium: turns a simulator into an environment, and plays a policy in any environment.
 
     environment = snapo.gym.Environment(problem)          # or VectorEnvironment(problem, 1024)
     played = snapo.gym.play(snapo.gym.Agent(policy), "Pendulum-v1", starts=2000)

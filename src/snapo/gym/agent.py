@@ -19,17 +19,18 @@ AgentMap = Callable[[np.ndarray], Any]
 
 
 class Agent:
-    """Plays any environment: `agent(observation)` is the action, for one or for many.
+    """Plays any environment: `agent(observation)` is the action for one observation, or the actions
+    for several.
 
-    - `features`: a function from the environment's observations [N, k] to those on which the
-      policy was trained; by default they are the same.
-    - `action`: a function from decisions [N, size] to N actions of the environment; or its
-      `action_space`, or the action set of the problem. By default it is the set of the policy: the
-      action is the number of the option for a `Choice`, a dictionary for a `Product`, else the
-      numbers.
+    - `features`: a function from the environment's observations [N, k] to the observations with
+      which the policy was trained; by default they are the same.
+    - `action`: a function from decisions [N, size] to N actions of the environment, or the
+      environment's `action_space`, or the action set of the problem. By default it is the action
+      set of the policy: an action is the number of the option for a `Choice`, a dictionary for a
+      `Product`, and otherwise an array.
 
     An agent whose policy has a memory keeps the memory of every episode, [N, m] in `memory`; call
-    `reset` when episodes begin. If the number of observations changes, it must be reset.
+    `reset` when episodes begin. It must also be reset if the number of observations changes.
     """
 
     def __init__(
@@ -44,7 +45,7 @@ class Agent:
         self._write = action if callable(action) else _writer(policy, action)
 
     def __call__(self, observation: np.ndarray) -> Any:
-        """The action at an observation [k]; or N of them at [N, k]."""
+        """The action at an observation [k], or N actions at N observations [N, k]."""
         values = np.asarray(observation)
         observed = np.atleast_2d(values)
         observed = self._features(observed) if self._features else observed
@@ -53,15 +54,16 @@ class Agent:
         return actions if values.ndim > 1 else element(actions, 0)
 
     def reset(self, began: np.ndarray | None = None) -> None:
-        """Resets the memory of all episodes, or of those that restart: `began` [N] is true for
-        these."""
+        """Resets the memory of all episodes, or of the restarted episodes, for which `began` [N] is
+        true."""
         if began is None or self.memory is None:
             self.memory = None
         else:
             self.memory = np.where(np.asarray(began, bool)[:, None], 0.0, self.memory)
 
     def on(self, space: Any) -> "Agent":
-        """A copy with an empty memory, for these actions unless it already has an action set."""
+        """A copy with an empty memory. Its actions are those of `space`, unless the agent was made
+        with an `action`."""
         return Agent(self.policy, self._features, space if self._given is None else self._given)
 
     def _decide(self, observed: np.ndarray) -> np.ndarray:
@@ -71,7 +73,7 @@ class Agent:
         if size and len(memory) != len(observed):
             raise ValueError(
                 f"Agent: it has a memory of {len(memory)} episodes, but got {len(observed)} "
-                "observations; call reset() when other episodes begin."
+                f"observations; call reset() when new episodes begin."
             )
         values = np.concatenate([observed, memory], 1)
         with read_context(of_policy(self.policy, values)):
@@ -86,8 +88,8 @@ def _decided(policy: Policy, observed):
 
 
 def _writer(policy: Policy, values: Any) -> AgentMap:
-    """The function from decisions to elements of the given space, given set, or the policy's
-    set."""
+    """The function from decisions to elements of a space or of an action set, by default of the
+    policy's set."""
     action = values if isinstance(values, Actions) else set_of(policy)
     if values is not None and values is not action:
         return writer(values, action)

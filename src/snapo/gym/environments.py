@@ -1,4 +1,5 @@
-"""A problem as an environment of Gymnasium, one path or many, and the reward of an agent in one."""
+"""A problem as an environment of Gymnasium, with one path or several, and the reward of an agent in
+an environment."""
 
 from collections.abc import Callable, Sequence
 from typing import Any, ClassVar, NamedTuple, Protocol, runtime_checkable
@@ -33,12 +34,12 @@ class Ends(Protocol):
 
 
 class NextState(NamedTuple):
-    """After a step: the state, its observation, the reward and all outputs.
+    """The result of a step: the state, its observation, the reward and all outputs.
 
-    - `ended`: whether the problem has ended, by the simulator (`over`) or at the horizon.
+    - `ended`: whether the problem has ended, because of the simulator (`over`) or at the horizon.
     - `late`: whether a time limit truncates the episode while the problem would continue.
-    - `outputs`: the outputs of the step, and at an end also those of the terminal state; an output
-      that only the terminal state has is 0 before.
+    - `outputs`: the outputs of the step, and at an end also the outputs of the terminal state; an
+      output that only the terminal state has is 0 until then.
     """
 
     state: PyTree
@@ -57,11 +58,12 @@ class NextState(NamedTuple):
 class GymDynamics:
     """The exact simulator of a problem in single precision, step by step.
 
-    The rewards of a path add up to its share of the objective; those of the terminal state come
-    with the step that ends the problem. With `endless` the horizon is a time limit, after which the
-    problem would continue: if only the horizon ends the path, there are no terminal rewards.
+    The rewards of a path add up to its part of the objective; the rewards of the terminal state are
+    paid in the step that ends the problem. With `endless` the horizon is a time limit, after which
+    the problem would continue: if only the horizon ends the path, there are no terminal rewards.
 
-    **Raises:** `ValueError` if the objective is not a mean of sums, and so has no reward of a step.
+    **Raises:** `ValueError` if the objective is not a mean of sums, and so is not a sum of rewards
+    of steps.
     """
 
     def __init__(self, problem: Problem, endless: bool = False):
@@ -71,8 +73,8 @@ class GymDynamics:
         if not objective.linear or not summed:
             raise ValueError(
                 "Environment: the objective must be a mean of outputs summed over the path; "
-                f"{type(objective).__name__} of {', '.join(objective.outputs)} has no reward of a "
-                "step."
+                f"{type(objective).__name__} of {', '.join(objective.outputs)} is not a sum of "
+                f"rewards of steps."
             )
         self.weights = {k: float(w[0]) for k, w in flat_weights(objective, 1).items()}
         self.schedule = jax.tree.map(jnp.asarray, problem.schedule)
@@ -113,8 +115,8 @@ class GymDynamics:
         return tuple(name for name in last if name not in outputs)
 
     def _seen(self, t: Array, state: PyTree) -> Array:
-        """The observation; after the last step nothing is decided, and the schedule of the last
-        step is used."""
+        """The observation. After the last step nothing is decided; the observation then uses the
+        schedule of the last step."""
         now = at(self.schedule.steps, jnp.minimum(t, self.horizon - 1))
         return jnp.asarray(self.simulator.observe(self.schedule.constants, now, state), jnp.float32)
 
@@ -123,7 +125,8 @@ class GymDynamics:
         return sum((w * outputs[k] for k, w in self.weights.items() if k in outputs), zero)
 
     def _told(self, outputs: OutputsOf, last: OutputsOf, ended: Array) -> OutputsOf:
-        """The outputs of a step joined with those of the terminal state, by the kind of total."""
+        """The outputs of a step combined with the outputs of the terminal state, depending on the
+        kind of total."""
         combined = {name: jnp.asarray(value, jnp.float32) for name, value in outputs.items()}
         for name, value in last.items():
             before, kind = combined.get(name, jnp.zeros(())), self.kinds.get(name, "sum")
@@ -136,7 +139,7 @@ class GymDynamics:
 
 
 class Compiled(NamedTuple):
-    """The dynamics with its two compiled functions, of one path."""
+    """The dynamics with its two compiled functions for one path."""
 
     dynamics: GymDynamics
     first: Any
@@ -147,7 +150,8 @@ _known: "WeakKeyDictionary[Problem, dict[Any, Compiled]]" = WeakKeyDictionary()
 
 
 def compiled(problem: Problem, endless: bool) -> Compiled:
-    """Compiled once for all environments of a problem: `play` makes one for every start."""
+    """The compiled dynamics, which all environments of a problem share, because `play` makes an
+    environment for every start."""
     made, key = _known.setdefault(problem, {}), (endless, problem.version)
     if key not in made:
         dynamics = GymDynamics(problem, endless)
@@ -157,16 +161,16 @@ def compiled(problem: Problem, endless: bool) -> Compiled:
 
 
 class Environment(gymnasium.Env):
-    """The exact simulator of a problem as an environment for training with any library.
+    """The exact simulator of a problem as an environment, for training with any library.
 
-    - An observation is that of snapo's policies; a reward is a step's part of the objective,
-      which must be a mean of sums. `info` holds all outputs of the step by name, as numbers; those
-      of the terminal state are in the step that ends the problem.
+    - Observations are the same as for snapo's policies. A reward is a step's part of the objective,
+      which must be a mean of sums. `info` holds all outputs of the step by name, as numbers; the
+      outputs of the terminal state are in the step that ends the problem.
     - Noise comes from the environment's generator: `reset(seed=…)` gives the same episode again.
-    - `endless`: the horizon is a limit of time (`truncated`), not the end of the problem
-      (`terminated`), and outputs of the terminal state are not paid there. An end by the simulator
-      (`over`) terminates in both cases, also at the last step.
-    - `decisions`: the set of its actions.
+    - `endless`: whether the horizon is a time limit (`truncated`), and not the end of the problem
+      (`terminated`); the outputs of the terminal state are then not paid at the horizon. If the
+      simulator ends the episode (`over`), it is terminated in both cases, even at the last step.
+    - `decisions`: the action set of the problem.
     """
 
     metadata: ClassVar = {"render_modes": []}
@@ -181,7 +185,7 @@ class Environment(gymnasium.Env):
         self._t, self._state = 0, None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """The first observation of a new path, and no more information."""
+        """The first observation of a new path, and an empty `info`."""
         super().reset(seed=seed)
         noise = self._normals(self.dynamics.simulator.initial_noise_size)
         self._t = 0
@@ -206,7 +210,8 @@ class Environment(gymnasium.Env):
 
 
 class Played(NamedTuple):
-    """The mean reward of an episode with its standard error; rewards and steps [starts] of each."""
+    """The mean reward of an episode with its standard error, and the rewards and steps [starts] of
+    all episodes."""
 
     mean: float
     standard_error: float
@@ -228,7 +233,8 @@ def play(
     **Arguments:**
 
     - `agent`: an `Agent`, a policy, or any function from observations [N, k] to N actions. The
-      actions of a policy are converted to the environment's space (see `Agent`); a memory is reset.
+      actions of a policy are converted to the environment's space (see `Agent`); the memory of an
+      agent is reset.
     - `environment`: a name such as "Pendulum-v1", or a function that makes an environment.
     - `starts`: seeds of `environment.reset(seed=…)`, or a number n for the seeds 0 … n - 1. They
       are the same for every agent, so that agents are compared on common starts.
@@ -259,7 +265,8 @@ def play(
 
 
 def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
-    """The agent, or that of a policy, for the actions of the environment; its memory is empty."""
+    """The agent, or an agent for the policy, with the actions of the environment and an empty
+    memory."""
     if not isinstance(agent, Agent | Policy):
         return agent
     act = Agent(agent) if isinstance(agent, Policy) else agent
@@ -268,7 +275,7 @@ def _for_world(agent: Any, world: Any) -> Callable[[np.ndarray], Any]:
 
 
 def made(environment: "str | Callable[[], Any]"):
-    """The environment of this name, or that created by the function."""
+    """The environment of this name, or the environment that the function creates."""
     if isinstance(environment, str):
         return gymnasium.make(environment, disable_env_checker=True)
     return environment()
@@ -277,9 +284,9 @@ def made(environment: "str | Callable[[], Any]"):
 class VectorEnvironment(gymnasium.vector.VectorEnv):
     """`num_envs` paths of the exact simulator in parallel (see `Environment`).
 
-    A path that has ended restarts at its next step, whose action is not used and whose reward
-    is 0 (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` has the numbers [N] of every output and,
-    under its name with a leading underscore, the paths [N] for which they count.
+    A path that has ended restarts at its next step, whose action is not used and whose reward is 0
+    (Gymnasium's `AutoresetMode.NEXT_STEP`). `info` has the numbers [N] of every output and, under
+    its name with a leading underscore, the paths [N] for which the numbers are valid.
     """
 
     def __init__(self, problem: Problem, num_envs: int, endless: bool = False):
@@ -302,7 +309,7 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         self._state = None
 
     def reset(self, *, seed: int | None = None, options: dict[str, Any] | None = None):
-        """The first observations [N, features] of new paths; one seed makes all of them."""
+        """The first observations [N, features] of new paths; one seed determines all of them."""
         super().reset(seed=seed)
         self._t[:], self._done[:] = 0, False
         self._state, observed = self._first(
@@ -328,7 +335,8 @@ class VectorEnvironment(gymnasium.vector.VectorEnv):
         return np.asarray(moved.observation), rewards, ended, late, info | counts
 
     def _moved(self, t, state, actions, noise, repeated):
-        """All paths moved; those to start `repeated` at their initial state, if nothing counts."""
+        """Moves all paths. Paths that are `repeated` restart at their initial state, and their
+        outputs do not count."""
         fresh, first = jax.vmap(self.dynamics.first)(noise[0])
         moved = jax.vmap(self.dynamics.step)(t, state, actions, noise[1])
 

@@ -1,4 +1,4 @@
-"""Sets of actions as Gymnasium's spaces, and the conversions between both.
+"""Converts sets of actions to Gymnasium's spaces, and elements of one to elements of the other.
 
 Elements of a space are in groups of N, as in vectorised environments: an array [N, …], or for a
 `Dict` one array for each name.
@@ -25,10 +25,10 @@ Writer = Callable[[np.ndarray], Elements]  # and back
 
 
 def space_of(action: Actions) -> tuple[Space, SpaceReader]:
-    """The space of a set of actions, and the function from elements of the space to the exact set.
-    The space of a `Choice` is `Discrete`, that of a `Product` a `Dict` of its sets by name. For a
-    `Simplex` any numbers from 0 to 1 are normalised; whole numbers are rounded; bounds are
-    enforced by clipping.
+    """The space for a set of actions, and the function from elements of the space to the exact set.
+    The space of a `Choice` is `Discrete`, and the space of a `Product` is a `Dict` of its sets by
+    name. For a `Simplex` any numbers from 0 to 1 are normalised; whole numbers are rounded; bounds
+    are enforced by clipping.
 
     **Raises:** `ValueError` for a set that has no space.
     """
@@ -62,8 +62,8 @@ def space_of(action: Actions) -> tuple[Space, SpaceReader]:
 def writer(space: Space, action: Actions | None = None) -> Writer:
     """The function from decisions [N, size] of the exact set to N elements of the space.
 
-    - `Discrete` takes the best option of a `Choice`, or one whole number, which counts from its
-      start; `MultiDiscrete` and `MultiBinary` take whole numbers.
+    - `Discrete` takes the best option of a `Choice`, or one whole number, which counts from the
+      `start` of the space; `MultiDiscrete` and `MultiBinary` take whole numbers.
     - `Dict` takes a `Product` whose sets have its names; a `Box` the numbers unchanged.
     - `action`: the set, if known; otherwise the number of decisions is used.
 
@@ -102,21 +102,22 @@ def writer(space: Space, action: Actions | None = None) -> Writer:
 
 
 def batched(element: Any) -> Elements:
-    """One element as N = 1 of them."""
+    """One element as a group of N = 1."""
     if isinstance(element, dict):
         return {name: batched(part) for name, part in element.items()}
     return np.asarray(element)[None]
 
 
 def element(elements: Elements, i: int) -> Any:
-    """The element `i` of N."""
+    """The element `i` of a group of N."""
     if isinstance(elements, dict):
         return {name: element(part, i) for name, part in elements.items()}
     return elements[i]
 
 
 def _option(decided: np.ndarray, options: int) -> np.ndarray:
-    """[N] numbers of options, from weights on all [N, options] or from the numbers [N, 1]."""
+    """[N] numbers of options, from the weights [N, options] of all options or from the numbers [N,
+    1]."""
     size = decided.shape[-1]
     if size == 1:
         return np.round(decided[:, 0]).astype(np.int64)

@@ -1,6 +1,6 @@
-"""The page of `snapo open`: inputs of a run are moved, and its trained policy is valued again.
+"""The page of `snapo open`: a user moves the inputs of a run, and its trained policy is valued
+again.
 
-`open` starts `server`, which talks to pages, and through `process` to `worker`, the process that
-computes. There `positions` finds where an input is in the files of the case, and `valuation` rolls
-the policy over the same paths.
+`open` starts `server`, which exchanges messages with pages and, through `process`, with `worker`,
+the process that computes. In the worker, `valuation` values the policy on the same paths.
 """

@@ -1,4 +1,5 @@
-"""The value as its domain shows it, such as a fund's certainty equivalent, not its utility."""
+"""The value as its domain shows it: for a fund, for example, the certainty equivalent instead of
+the utility."""
 
 from collections.abc import Callable, Mapping, Sequence
 from typing import Any
@@ -12,8 +13,7 @@ INTERVAL = ("value", "low", "high")
 
 class HeadlineTables:
     """The tables of a page with the value, its changes and its derivatives in the headline's unit.
-
-    Without a headline, or if the value has none, tables are unchanged.
+    If the domain or the value has no headline, the tables are unchanged.
     """
 
     def __init__(self, valuation: WhatIf):
@@ -22,7 +22,7 @@ class HeadlineTables:
         self.slope = 1.0  # d headline / d value at the value that was shown last
 
     def table(self, stage: str, table: Any) -> Any:
-        """The table of a stage as the page shows it."""
+        """The table of a stage, as the page shows it."""
         convert: Callable[[Any], Any] | None = {
             "value": self._value, "deltas": self._deltas, "explained": self._explained,
             "trained": self._trained, "bounded": self._bounded,
@@ -38,7 +38,7 @@ class HeadlineTables:
         return [entry | {"slope": new} for entry, new in zip(inputs, slopes)]
 
     def units(self) -> dict[str, Any]:
-        """Units, with that of the headline for the value, and its name."""
+        """The units; the value has the unit and the name of the headline."""
         units = self.valuation.units()
         if self.base is None:
             return units

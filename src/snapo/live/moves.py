@@ -1,4 +1,5 @@
-"""Moved inputs and choices of a run on the page, with a policy or without, and their files.
+"""Moved inputs and choices of a run on the page, with or without a policy, and the files of the
+moved case.
 
 Choices are keys of a case with a list of allowed texts, or switches; the table of a key declares
 the list. Every option is tested; an option that contradicts other keys of the case is not offered.
@@ -53,7 +54,7 @@ def _spaced(part: str | int) -> str:
 
 
 def _row(tables: Any, path: Key) -> str:
-    """The name that a row of an array of tables gives itself, else "Parameter 2"."""
+    """The name in a row of an array of tables; if it has none, a text such as "Parameter 2"."""
     for part in path:
         tables = tables[part]
     by_name = [tables[key] for key in OWN if isinstance(tables.get(key), str) and tables[key]]
@@ -66,7 +67,7 @@ def _row(tables: Any, path: Key) -> str:
 
 
 def _family(table: Any) -> bool:
-    """Whether a table has nothing but named tables, as [units] with its units."""
+    """Whether a table contains only tables with names, such as [units]."""
     return isinstance(table, Mapping) and all(isinstance(x, Mapping) for x in table.values())
 
 
@@ -101,7 +102,7 @@ class MenuChoice(NamedTuple):
 
 
 def choices(files: Files, bumped: Tried) -> list[MenuChoice]:
-    """Every key of the case that has more than one value; `bumped` reads a case, or raises
+    """Every key of the case that can have more than one value; `bumped` reads a case, or raises
     `CaseError`."""
     menus = []
     options = _options(files, bumped)
@@ -116,7 +117,7 @@ def choices(files: Files, bumped: Tried) -> list[MenuChoice]:
 
 
 def case_with(files: Files, available: Sequence[MenuChoice], requested: Mapping[str, Any]) -> Files:
-    """The case with other values of these keys.
+    """The case with new values of these keys.
 
     **Raises:** `CaseError` for an unknown choice, or a value that it cannot have.
     """
@@ -139,7 +140,7 @@ def _keys(files: Files) -> Iterator[Key]:
 
 
 def _options(files: Files, bumped: Tried) -> dict[Key, tuple[str | bool, list[str | bool]]]:
-    """{key: its value, or its default where the case leaves it out, and all that it may have}."""
+    """{key: its value, or its default if the case omits it, and all its possible values}."""
     with recorded_tables() as read:
         bumped(files)
     paths = {id(table): key_path for key_path, table in tables(files.tables, ())}
@@ -176,7 +177,7 @@ NONE: SelectedChoices = {}
 class WhatIf:
     """A run whose inputs can be moved.
 
-    - `study`: the study of the run; `rebuild`: makes the study of another case.
+    - `study`: the study of the run; `rebuild`: makes the study of a changed case.
     - `slopes`: {input: d value / d number, flat}; empty if none are known.
     """
 
@@ -191,19 +192,19 @@ class WhatIf:
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """Pairs (name, table), one after another, of the page's tables at these numbers and
-        choices.
+        """Yields the page's tables at these numbers and choices as pairs (name, table).
 
         **Raises:** `CaseError` if the reader of the case refuses them.
         """
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
-        """(name, table) of the tables that can wait until the user stops, after all of `stages`."""
+        """Yields, after all of `stages`, (name, table) for the tables that can wait until the user
+        stops."""
         yield from ()
 
     @cached_property
     def choices(self) -> list[MenuChoice]:
-        """The keys of the case with a list of allowed values."""
+        """The keys of the case that have a list of allowed values."""
         return choices(self.positions.files, self.positions.reread)
 
     def case_at(self, values: InputValues, selected: SelectedChoices = NONE) -> ChangedCase:
@@ -213,14 +214,14 @@ class WhatIf:
 
     @abstractmethod
     def shares(self, values: InputValues, selected: SelectedChoices = NONE) -> np.ndarray:
-        """The shares of independent groups of paths in the value."""
+        """The parts of the value from independent groups of paths."""
 
     def explained(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> list[dict[str, Any]]:
-        """The change of the value, one input after another on the same paths, each in addition to
-        the previous ones; all choices come first, together. If the case refuses the move of an
-        input without that of the next one, both are moved together.
+        """Explains the change of the value. All choices are changed first, together; then one input
+        after another is moved, on the same paths. If the case refuses the move of an input without
+        the move of the next input, both are moved together.
         """
         moves = [(list(selected), {})] if selected else []
         moves += [([name], {name: new}) for name, new in self.changed(values).items()]
@@ -239,14 +240,15 @@ class WhatIf:
 
     @abstractmethod
     def counted(self) -> dict[str, int]:
-        """Numbers of paths: of the "value", and of other tables."""
+        """The numbers of paths for the "value" and for other tables."""
 
     @abstractmethod
     def settings(self) -> dict[str, Any]:
         """Keys of `[evaluation]` with which `snapo solve` reproduces the page."""
 
     def headline(self, value: float) -> DisplayedValue | None:
-        """A value as the domain shows it, at the inputs that were valued last; None: unchanged."""
+        """The value as the domain shows it, at the inputs that were valued last; None if the domain
+        shows it unchanged."""
         return None
 
     def source(self, name: str) -> str:
@@ -269,7 +271,7 @@ class WhatIf:
         return {"unit": about.get("value_unit", ""), **tables}
 
     def changed(self, values: InputValues) -> dict[str, np.ndarray]:
-        """The inputs that differ from the run's, shaped like them.
+        """The inputs that differ from the inputs of the run, in the shapes of these inputs.
 
         **Raises:** `CaseError` for a name that is not an input, or numbers that do not fit.
         """
@@ -280,7 +282,7 @@ class WhatIf:
                 raise CaseError(name, "", None, "there is no such input")
             new = np.asarray(value, np.float64)
             if new.size != inputs.value.size or not np.isfinite(new).all():
-                message = f"this input has {inputs.value.size} finite numbers"
+                message = f"it must be {inputs.value.size} finite numbers"
                 raise CaseError(name, "", None, message)
             new = new.reshape(inputs.value.shape)
             if not np.array_equal(new, inputs.value):
@@ -295,7 +297,7 @@ class WhatIf:
 
 
 def explained_by(names: Sequence[str], before: np.ndarray, now: np.ndarray) -> dict[str, Any]:
-    """A step of a change: the names that moved, and by how much the value did."""
+    """A step of a change: the names of the moved inputs, and the change of the value."""
     change = statistics.of_shares(now - before)
     return {"names": list(names), "change": change.value, "error": change.standard_error}
 
@@ -304,7 +306,7 @@ EXACT = {"low": None, "high": None}  # a derivative without noise has no interva
 
 
 class Recalculation(WhatIf):
-    """A run without training: its figures at other inputs, calculated by its domain."""
+    """A run without training, whose domain calculates its figures at moved inputs."""
 
     def __init__(
         self, study: Study, values: Recalculated, positions: InputPositions, rebuilt: Rebuild
@@ -323,7 +325,7 @@ class Recalculation(WhatIf):
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """The stages of the domain: the value with its change against the run."""
+        """The stages of the domain: the value, with its change from the run."""
         if self._base is None and (values or selected):
             next(self.stages({}))
         changed, case = self.changed(values), self.case_at(values, selected).case
@@ -341,7 +343,7 @@ class Recalculation(WhatIf):
         return statistics.shares(np.asarray(table["kept"]), None)
 
     def _of(self, case: Any, selected: SelectedChoices) -> Recalculated:
-        """What calculates at these choices: made once for each."""
+        """The calculation for these choices, which is made once for each combination."""
         if not selected:
             return self.values
         key = repr(sorted(selected.items()))
@@ -364,7 +366,7 @@ class Recalculation(WhatIf):
         }
 
     def _by_handle(self, row: dict[str, Any]) -> dict[str, Any]:
-        """Derivatives with respect to numbers that move together."""
+        """Derivatives with respect to groups of numbers that move together."""
         numbers = [item["value"] for item in row["rows"]]
         rows = [
             {"label": label, "value": sum(numbers[i] for i in at), **EXACT}

@@ -1,4 +1,5 @@
-"""`snapo open RUN`: the page of a run, until it is ended; and the same for a Python session."""
+"""`snapo open RUN`: serves the page of a run until the user ends it; the same for a Python
+session."""
 
 import asyncio
 import sys
@@ -23,8 +24,8 @@ if TYPE_CHECKING:
 
 
 class AboutRun(NamedTuple):
-    """Entries of a study's `about`: title, days and step of its axis of time, and the name of the
-    number that replaces the value."""
+    """Entries of a study's `about`: the title, the days and the step of the time axis, and the name
+    of the number that is shown instead of the value."""
 
     title: str | None = None
     days: list[str] | None = None
@@ -35,7 +36,7 @@ class AboutRun(NamedTuple):
 
     @property
     def times(self) -> list[str] | None:
-        """The days of the steps, or the hours; None if they have only numbers."""
+        """The days or hours of the steps; None if steps have only numbers."""
         if not self.local_times:
             return self.days
         hourly = self.step == "hour"
@@ -44,9 +45,9 @@ class AboutRun(NamedTuple):
 
 
 def about_run(run: Path, simulator: tuple[str, str] | None = None) -> dict[str, Any]:
-    """Reads the contents of a run's files; nothing is computed.
+    """Reads the files of a run without any computation.
 
-    **Raises:** `CaseError` if there is no run, or one without a policy.
+    **Raises:** `CaseError` if there is no run, or if it has no policy.
     """
     record = run_folder.read(run)
     domain_of_run(run, record, simulator)
@@ -82,7 +83,7 @@ def server_of(
     engine: str = "auto",
     problem: bytes = b"",
 ) -> "Server":
-    """The server of a run's page, not started; `problem`: a problem in Python, pickled.
+    """The server of a run's page, which is not started yet; `problem`: a pickled problem in Python.
 
     **Raises:** `CaseError` if there is no such run; `ModuleNotFoundError` without aiohttp.
     """
@@ -105,9 +106,7 @@ def server_of(
 async def served(
     server: "Server", port: int, ready: Callable[[], None], ended: asyncio.Event
 ) -> None:
-    """Serves the page until `ended`.
-
-    **Raises:** `CaseError` where the port is taken."""
+    """Serves the page until `ended`. **Raises:** `CaseError` if the port is in use."""
     try:
         await server.start(port)
     except OSError as error:
@@ -128,15 +127,14 @@ def open_page(
     browser: bool = True,
     **options: Any,
 ) -> None:
-    """Serves the page of a run until Ctrl-C; `options`: those of `server_of`.
-
-    **Raises:** `CaseError` as `server_of` does, and if the port is taken.
+    """Serves the page of a run until Ctrl-C; `options`: the options of `server_of`. **Raises:**
+    `CaseError` as in `server_of`, and if the port is in use.
     """
     server = server_of(run, **options)
 
     def ready() -> None:
         progress(f"the page is at {server.address}")
-        progress("it is for this machine only; Ctrl-C ends it")
+        progress("it can be reached from this machine only; Ctrl-C closes it")
         if browser:
             webbrowser.open(server.address)
 
@@ -150,7 +148,7 @@ def open_page(
 class LivePage:
     """The live page of a solution, as long as the Python session that opened it.
 
-    - `address`: for a browser of this machine; a notebook shows it as a link.
+    - `address`: for a browser on this machine; a notebook shows it as a link.
     """
 
     def __init__(self, server: "Server", closed: Callable[[], None] = lambda: None):

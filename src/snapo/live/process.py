@@ -14,7 +14,7 @@ Hear = Callable[[dict[str, Any]], Awaitable[None]]
 
 
 class WorkerProcess:
-    """One worker process. Its latest state is kept for pages that come later.
+    """One worker process. Its latest state is saved for pages that are opened later.
 
     - `first`: bytes that every worker receives before its orders.
     """
@@ -32,7 +32,7 @@ class WorkerProcess:
         self._task = asyncio.create_task(self._live())
 
     async def close(self) -> None:
-        """Ends the worker, and waits for its end."""
+        """Ends the worker and waits until it has ended."""
         self._closed = True
         self._kill()
         if self._task is not None:
@@ -46,7 +46,7 @@ class WorkerProcess:
                 self.process.kill()
 
     async def ask(self, order: dict[str, Any]) -> None:
-        """Passes an order to the worker, now, or when it has started."""
+        """Passes an order to the worker, immediately or when the worker has started."""
         if order["do"] == "move":
             self._waiting[order["page"]] = order
         if self.state["stage"] == "ready":
@@ -75,11 +75,11 @@ class WorkerProcess:
             text = "the calculation ended unexpectedly and is starting again"
             self.state = {"stage": "starting", "message": text}
             if self._deaths >= TRIES:
-                self.state = {"stage": "failed", "message": "the calculation does not start"}
+                self.state = {"stage": "failed", "message": "the calculation cannot be started"}
             await self.hear(dict(self.state))
 
     async def _once(self) -> None:
-        """One life of the process."""
+        """Runs the process once, until it ends."""
         self.process = await asyncio.create_subprocess_exec(
             *self.command,
             stdin=asyncio.subprocess.PIPE, stdout=asyncio.subprocess.PIPE, limit=LONGEST_LINE,

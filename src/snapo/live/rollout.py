@@ -1,4 +1,5 @@
-"""The paths of a move: how many, and their rollout for the value, the deltas and the fans."""
+"""The paths of a move: their number, and their simulation for the value, the deltas and the
+fans."""
 
 import math
 from typing import Any, NamedTuple
@@ -25,7 +26,8 @@ MAX_NUMBERS = 40_000_000  # of all paths' courses: of a long and wide one there 
 
 
 class PathCounts(NamedTuple):
-    """Paths: of the value, of the derivatives, of the fans; the first is the greatest."""
+    """The numbers of paths for the value, the derivatives and the fans; the first is the
+    largest."""
 
     value: int = MAXIMUM
     deltas: int = DELTA_PATHS
@@ -33,14 +35,14 @@ class PathCounts(NamedTuple):
 
     @classmethod
     def of(cls, paths: int, deltas: int | None = None) -> "PathCounts":
-        """This number of paths for the value, and at most this number for everything else."""
+        """This number of paths for the value, and at most this number for other tables."""
         return cls(paths, min(DELTA_PATHS, deltas or paths, paths), min(FAN_PATHS, paths))
 
     @classmethod
     def enough(cls, solution: Solution, evaluation: Evaluation, numbers: int = 1) -> "PathCounts":
-        """The number of paths that the value needs, estimated from the error of the run; at most
-        those of the run. `numbers`: the size of the trajectory of one path; if it is large there
-        are fewer paths, so that an answer comes in time.
+        """The number of paths that the value needs, estimated from the error of the run and not
+        above the number in the run. `numbers`: the size of the trajectory of one path; if it is
+        large there are fewer paths, so that the page answers quickly.
         """
         share = solution.standard_error / max(abs(solution.value), 1e-300) / ENOUGH
         needed = min(MAXIMUM, max(FEWEST, evaluation.paths * min(share, 1e3) ** 2))
@@ -53,10 +55,11 @@ MAX_RECORDED = 2048  # paths of one call of the engine: their trajectories are i
 
 
 class Simulated(NamedTuple):
-    """The policy on the first paths of the evaluation, in the order of their numbers.
+    """The results of the policy on the first paths of the evaluation, in their order.
 
     - `totals`: {output: [paths]} for the value.
-    - `actions`: [T, paths, A] for the deltas; None if the deltas simulate the paths again.
+    - `actions`: [T, paths, A] for the deltas; None if the calculation of the deltas simulates the
+      paths again.
     - `tables`: {kind: leaves [T, paths, …]} of state, action and outputs for the fans.
     """
 
@@ -67,7 +70,7 @@ class Simulated(NamedTuple):
 
 def simulate(setup: Setup, policy: Policy, counts: PathCounts) -> Simulated:
     """Simulates every path once if recording does not change the bits of the totals; otherwise
-    simulates the totals separately. The complete trajectory is always recorded, since another
+    simulates the totals separately. The complete trajectory is always recorded, since a different
     record would need another compilation.
     """
     problem, engine = setup.problem, setup.engines.evaluate
@@ -114,5 +117,5 @@ def numbers_of_a_path(problem: Problem) -> int:
 
 
 def totals_of(setup: Setup, policy: Policy, paths: int) -> dict[str, np.ndarray]:
-    """{output: [paths]} of a policy, by the code that simulates a move."""
+    """{output: [paths]} of a policy, computed by the code that simulates a move."""
     return simulate(setup, policy, PathCounts(paths, 1, 1)).totals

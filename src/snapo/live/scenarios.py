@@ -1,7 +1,7 @@
 """Named scenarios, kept in the run folder, and their export as CSV, TOML or a workbook.
 
 scenarios/NAME/scenario.json    the moved inputs, and their values
-scenarios/NAME/case/            the case, as `snapo solve` takes it, and policy.npz where the policy
+scenarios/NAME/case/            the case for `snapo solve`, and policy.npz if the policy
                                 was trained on the page
 page.json                       the inputs that a page showed last
 """
@@ -36,7 +36,7 @@ class MovedValue(NamedTuple):
 
 
 class PageTables(NamedTuple):
-    """The tables of a page or a scenario; a table that is not known is None.
+    """The tables of a page or a scenario; a missing table is None.
 
     - `values`, `chosen`: the moved inputs and choices by name; `policy`: the number or file of the
       policy.
@@ -55,12 +55,12 @@ class PageTables(NamedTuple):
 
     @property
     def choices(self) -> dict[str, Any]:
-        """The moved choices, none if they are not known."""
+        """The moved choices; empty if they are missing."""
         return self.chosen or {}
 
 
 def csv_of(rows: Iterable[Sequence[Any]]) -> str:
-    """Rows as CSV; text that a spreadsheet would read as a formula is marked as text."""
+    """The rows as CSV; text that a spreadsheet would read as a formula is marked as text."""
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     for row in rows:
@@ -77,8 +77,8 @@ def _cell(value: Any) -> Any:
 def page_rows(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
     """Everything that the page shows, one number in each row, under `HEADER`.
 
-    `tables`: those of `Moves.stages` by name, with the moved "values" and "chosen". A derivative
-    has the limits of its interval instead of a standard error.
+    `tables`: the tables of `Moves.stages` by name, with the moved "values" and "chosen". A
+    derivative has the limits of its interval instead of a standard error.
     """
     yield HEADER
     for row in _numbers(entries_of(PageTables, tables)):
@@ -86,7 +86,7 @@ def page_rows(tables: Mapping[str, Any]) -> Iterator[Sequence[Any]]:
 
 
 def _numbers(tables: PageTables) -> Iterator[Sequence[Any]]:
-    """The rows, without the columns that end them empty."""
+    """The rows without the empty columns at their end."""
     table = entries_of(MovedValue, tables.value)
     yield ("value", "", "", table.value, table.standard_error)
     yield ("change", "", "", table.change, table.change_error)
@@ -108,7 +108,7 @@ def _numbers(tables: PageTables) -> Iterator[Sequence[Any]]:
 
 
 def _sections(tables: PageTables) -> Iterator[Sequence[Any]]:
-    """Today's decision and the domain's sections: every number with its column's name."""
+    """Today's decision and the domain's sections, every number with the name of its column."""
     for name, number, unit in (tables.today or {}).get("facts", ()):
         yield ("today", name, unit, number, None)
     for item in tables.sections or []:
@@ -121,7 +121,7 @@ def _sections(tables: PageTables) -> Iterator[Sequence[Any]]:
 
 
 def zipped(folder: Path, name: str) -> bytes:
-    """The files of a folder in a zip, in a folder `name`; links are left out."""
+    """The files of a folder as a zip with a folder `name`; links are omitted."""
     out = io.BytesIO()
     with zipfile.ZipFile(out, "w", zipfile.ZIP_DEFLATED) as packed:
         for file in sorted(folder.iterdir()):
@@ -141,10 +141,9 @@ class Refused(ValueError):
 
 
 class PageOrder(NamedTuple):
-    """An unchecked request of a page to `do` something for its move number `n`.
-
-    - `values`, `chosen`, `policy`: those of the move, as in `PageTables`; `name`, `id`: those of a
-      scenario.
+    """An unchecked request of a page to `do` something for its move number `n`. - `values`,
+    `chosen`, `policy`: the values, choices and policy of the move, as in `PageTables`; `name`,
+    `id`: the name and id of a scenario.
     """
 
     do: Any = None
@@ -157,16 +156,16 @@ class PageOrder(NamedTuple):
 
 
 def values_of(inputs: Any) -> dict[str, list[float]]:
-    """{input: numbers} of a message; the case's reader decides whether they suit the case."""
+    """{input: numbers} of a message; the reader of the case decides whether they are allowed."""
     if not isinstance(inputs, dict):
-        raise Refused("moves must be a table of inputs")
+        raise Refused("values must be a table of inputs")
     values, size = {}, 0
     for name, numbers in inputs.items():
         if not isinstance(numbers, list):
             raise Refused(f"{name}: an input is a list of numbers")
         size += len(numbers)
         if size > MAX_NUMBERS:
-            raise Refused(f"a move has at most {MAX_NUMBERS} numbers")
+            raise Refused(f"a move may have at most {MAX_NUMBERS} numbers")
         for number in numbers:
             if isinstance(number, bool) or not isinstance(number, int | float):
                 raise Refused(f"{name}: an input is a list of numbers")
@@ -177,12 +176,12 @@ def values_of(inputs: Any) -> dict[str, list[float]]:
 
 
 def chosen_of(values: Any) -> dict[str, str | bool]:
-    """{key: another value} of a message; its reader decides whether the case can have it."""
+    """{key: new value} of a message; the reader of the case decides whether it is allowed."""
     if not isinstance(values, Mapping) or len(values) > MAX_CHOICES:
-        raise Refused("choices must be a table of texts and switches")
+        raise Refused("choices must be a table of texts and booleans")
     for name, value in values.items():
         if not isinstance(value, str | bool) or len(str(value)) > 100:
-            raise Refused(f"{name[:60]}: a choice is a word or a switch")
+            raise Refused(f"{name[:60]}: a choice must be a text, true or false")
     return dict(values)
 
 
@@ -193,7 +192,7 @@ class SavedScenarios:
         self.folder = run / FOLDER
 
     def all(self) -> list[dict[str, Any]]:
-        """Every scenario that can be read, in the order in which they were kept."""
+        """All scenarios that can be read, in the order in which they were saved."""
         results = [_read(file / FILE) for file in sorted(self.folder.glob("*/"))]
         return sorted((item for item in results if item), key=lambda entry: entry["made"])
 
@@ -207,7 +206,7 @@ class SavedScenarios:
             raise Refused("a scenario needs a name")
         result = slug(metadata)
         if not (self.folder / result).exists() and len(self.all()) >= MAXIMUM:
-            raise Refused(f"a run keeps at most {MAXIMUM} scenarios; delete one first")
+            raise Refused(f"a run can have at most {MAXIMUM} scenarios; delete one first")
         made = datetime.datetime.now(datetime.UTC).isoformat(timespec="milliseconds")
         record = {"id": result, "name": metadata, "made": made, "values": dict(values)}
         record |= {key: tables[key] for key in KEPT if key in tables}
@@ -221,7 +220,7 @@ class SavedScenarios:
             write_text(self.folder.parent / LAST, json.dumps(shown, allow_nan=False))
 
     def last(self) -> dict[str, Any] | None:
-        """The inputs of the last page of an earlier server; None without any."""
+        """The inputs that the last page of an earlier server showed; None if there are none."""
         try:
             shown = json.loads((self.folder.parent / LAST).read_text(encoding="utf-8"))
         except (OSError, ValueError):
@@ -235,23 +234,22 @@ class SavedScenarios:
         shutil.rmtree(self.folder_of(result), ignore_errors=True)
 
     def folder_of(self, result: str) -> Path:
-        """The folder of a scenario that exists.
-
-        **Raises:** `Refused` for an invalid id, so that no path lies outside the run.
+        """The folder of an existing scenario. **Raises:** `Refused` for an invalid id, so that no
+        path is outside the run.
         """
         if result != slug(result) or not (self.folder / result / FILE).is_file():
             raise Refused("there is no such scenario")
         return self.folder / result
 
     def zipped(self, result: str) -> bytes:
-        """The case of a scenario, as a zip of its files."""
+        """The case of a scenario as a zip of its files."""
         case = self.folder_of(result) / CASE
         if not case.is_dir():
             raise Refused("this scenario has no case")
         return zipped(case, result)
 
     def one(self, result: str) -> str:
-        """A scenario as CSV: value, moved inputs and derivatives, a number in each row."""
+        """A scenario as CSV: value, moved inputs and derivatives, with one number in each row."""
         record = _read(self.folder_of(result) / FILE)
         if record is None:
             raise Refused("this scenario cannot be read")
@@ -263,7 +261,7 @@ class SavedScenarios:
 
 
 def slug(name: str) -> str:
-    """A name of a folder from a name: small letters, digits and single hyphens."""
+    """The name of a folder for a scenario's name: small letters, digits and single hyphens."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode().lower()
     text = re.sub(r"[^a-z0-9]+", "-", plain).strip("-")[:LONGEST]
     return text or "s-" + "-".join(f"{ord(item):x}" for item in name.strip()[:8])

@@ -1,4 +1,4 @@
-"""The server of the page: files, one socket for each page, and downloads."""
+"""The server of the page: it serves files, one socket for each page, and downloads."""
 
 import asyncio
 import hmac
@@ -38,7 +38,8 @@ Last = Callable[[str, int], Mapping[str, Any] | None]
 
 
 class Downloads:
-    """The addresses of downloads. `last`: the tables of a page's move, if it has them."""
+    """The addresses of downloads. `last`: returns the tables of a page's last move, if there are
+    any."""
 
     def __init__(self, run: Path, scenarios: SavedScenarios, workers: WorkerProcess, last: Last):
         self.run, self.scenarios, self.workers, self.last = run, scenarios, workers, last
@@ -46,7 +47,7 @@ class Downloads:
         self._writing: dict[int, asyncio.Future] = {}  # those that wait for the worker
 
     def route(self, app: web.Application) -> None:
-        """Adds the addresses."""
+        """Adds the addresses to the server."""
         app.router.add_get("/{token}/scenarios.csv", self.table)
         app.router.add_get("/{token}/scenario/{id}.zip", self.case)
         app.router.add_get("/{token}/scenario/{id}.csv", self.scenario)
@@ -55,7 +56,7 @@ class Downloads:
         app.router.add_get("/{token}/case/{at:run|p[0-9]+-[0-9]+}.{kind:zip|xlsx}", self.carried)
 
     def hear(self, message: Mapping[str, Any]) -> None:
-        """The worker's answer to a waiting request."""
+        """Passes the worker's answer to a waiting request."""
         waiting = self._writing.get(message["n"])
         if waiting is not None and not waiting.done():
             waiting.set_result(message)
@@ -82,16 +83,16 @@ class Downloads:
     async def report(self, request: web.Request) -> web.Response:
         file = self.run / run_folder.REPORT
         if not file.is_file() or file.is_symlink():
-            raise web.HTTPNotFound(text="This run has no report: snapo report makes one.")
+            raise web.HTTPNotFound(text="This run has no report; `snapo report` writes one.")
         return _download(file.read_bytes(), "text/html", run_folder.REPORT)
 
     async def shown(self, request: web.Request) -> web.Response:
-        """Everything that a page shows, as CSV."""
+        """Returns everything that a page shows, as CSV."""
         at, tables = self._asked(request)
         return _download(csv_of(page_rows(tables)).encode(), "text/csv", f"shown-{at}.csv")
 
     async def carried(self, request: web.Request) -> web.Response:
-        """The case that a page shows: its files in a zip, or a workbook."""
+        """Returns the case that a page shows, as a zip of its files or as a workbook."""
         tables = entries_of(PageTables, self._asked(request)[1])
         book = request.match_info["kind"] == "xlsx"
         order = {"do": "write", "page": "", "n": next(self._numbers), "workbook": book}
@@ -115,7 +116,7 @@ class Downloads:
             return _download(zipped(Path(made), "case"), "application/zip", "case.zip")
 
     def _asked(self, request: web.Request) -> tuple[str, Mapping[str, Any]]:
-        """The place in an address, and its document."""
+        """The position in an address, and its document."""
         at = request.match_info["at"]
         if at == "run":
             return at, self.workers.state.get("base") or {}
@@ -140,7 +141,7 @@ POLICY = (
 
 STRANDED = (
     "The address has no token, or the token of an earlier start. Run `snapo open RUN` again, and "
-    "use the address that it prints. The new page offers the inputs of the previous one."
+    "use the address that it prints. The new page offers the inputs of the previous page."
 )
 Handler = Callable[[web.Request], Awaitable[web.StreamResponse]]
 
@@ -151,23 +152,24 @@ def new_token() -> str:
 
 
 def guard(token: str, port: Callable[[], int]):
-    """The middleware that refuses other clients, and sends the browser the page's permissions."""
+    """The middleware that refuses other clients and sends the permissions of the page to the
+    browser."""
 
     @web.middleware
     async def checked(request: web.Request, handler: Handler) -> web.StreamResponse:
         names = [f"{name}:{port()}" for name in NAMES]
         if request.headers.get("Host") not in names:
-            raise web.HTTPForbidden(text="This server is for this machine only.")
+            raise web.HTTPForbidden(text="This server answers requests from this machine only.")
         first = request.path.lstrip("/").partition("/")[0]
         if not hmac.compare_digest(first.encode(), token.encode()):
             raise web.HTTPForbidden(text=STRANDED)
         origin = request.headers.get("Origin")
         if origin is not None and origin not in [f"http://{name}" for name in names]:
             raise web.HTTPForbidden(
-                text="A page of another site has requested this page, which is not allowed."
+                text="A page of another site has requested this page; this is not allowed."
             )
         if request.headers.get("Upgrade") and origin is None:
-            raise web.HTTPForbidden(text="The page itself must ask.")
+            raise web.HTTPForbidden(text="Only the page itself may request this.")
         return await handler(request)
 
     async def harden(request: web.Request, response: web.StreamResponse) -> None:
@@ -192,8 +194,8 @@ ASKED = ("values", "chosen", "policy")
 class Server:
     """One run, one worker, any number of pages.
 
-    - `about`: the run, from its files; `worker`: the command that starts the calculation;
-      `problem`: bytes that it reads first, a problem in Python.
+    - `about`: the description of the run, from its files; `worker`: the command that starts the
+      worker; `problem`: a pickled problem in Python, which the worker reads first.
     """
 
     def __init__(
@@ -211,13 +213,12 @@ class Server:
 
     @property
     def address(self) -> str:
-        """The page, with its token."""
+        """The address of the page, with its token."""
         return f"http://{HOST}:{self.port}/{self.token}/"
 
     async def start(self, port: int = 0) -> None:
-        """Listens on this machine only.
-
-        **Raises:** `OSError` where the port is taken."""
+        """Listens for requests from this machine only. **Raises:** `OSError` if the port is
+        in use."""
         checked, harden = guard(self.token, lambda: self.port)
         app = web.Application(middlewares=[checked], client_max_size=LONGEST)
         app.on_response_prepare.append(harden)
@@ -252,14 +253,14 @@ class Server:
         return _sent(request.match_info["name"])
 
     def _shown(self, page: str, n: int) -> Mapping[str, Any] | None:
-        """The tables of a page's last move, once they are there."""
+        """The tables of a page's last move; waits until there are some."""
         result = self._last.get((page, n))
         return result if result is not None and "value" in result else None
 
     # Pages.
 
     async def socket(self, request: web.Request) -> web.WebSocketResponse:
-        """One page, while it is open."""
+        """Serves one page while it is open."""
         socket = web.WebSocketResponse(max_msg_size=LONGEST, heartbeat=30)
         await socket.prepare(request)
         name = f"p{next(self._numbers)}"
@@ -280,7 +281,7 @@ class Server:
         return socket
 
     async def _order(self, page: str, text: str) -> None:
-        """One request of a page; an invalid one is answered, and has no effect."""
+        """Handles one request of a page; an invalid request gets an answer and has no effect."""
         n = -1
         try:
             request = json.loads(text)
@@ -303,7 +304,7 @@ class Server:
                 case "train" | "bound" | "explain":
                     result = self._last.get((page, n))
                     if result is None or "value" not in result:
-                        raise Refused("these numbers are not valued yet")
+                        raise Refused("the value at these numbers is not ready yet; try again")
                     values = {key: result[key] for key in ASKED}
                     await self.workers.ask({"do": order.do, "page": page, "n": n, **values})
                 case "cancel":
@@ -321,18 +322,19 @@ class Server:
             await self._send(page, {"stage": "refused", "n": n, "message": label})
 
     def _policy(self, label: Any) -> int | str:
-        """The policy of a move: a number of one trained here, 0 is the run's; or a scenario's."""
+        """The policy of a move: the number of a policy trained on the page (0 is the run's policy),
+        or the policy of a scenario."""
         if isinstance(label, str):
             return str(self.scenarios.folder_of(label) / CASE / run_folder.POLICY)
         if isinstance(label, bool) or not isinstance(label, int) or not 0 <= label < MAX_NUMBERS:
-            raise Refused("a policy is selected by its number, or by its scenario")
+            raise Refused("a policy must be selected by its number or by its scenario")
         return label
 
     async def _keep(self, page: str, n: int, name: str) -> None:
-        """A scenario as it was valued, with its case; all pages are notified."""
+        """Saves a scenario as it was valued, with its case, and notifies all pages."""
         result = self._last.get((page, n))
         if result is None or "value" not in result:
-            raise Refused("these numbers are not valued yet")
+            raise Refused("the value at these numbers is not ready yet; try again")
         selected = self.scenarios.keep(name, result["values"], result)
         await self._tell_all(self._kept())
         folder = str(self.scenarios.folder_of(selected) / CASE)
@@ -340,7 +342,7 @@ class Server:
         await self.workers.ask({"do": "write", "page": page, "n": n, "folder": folder, **request})
 
     async def hear(self, message: dict[str, Any]) -> None:
-        """One line of the worker: to the page that it concerns, or to all."""
+        """Passes a line of the worker to the page that it concerns, or to all pages."""
         page = message.get("page")
         if page is None:
             await self._tell_all(message)

@@ -1,4 +1,5 @@
-"""Inputs in the units of their user, with handles and derivatives per handle; and refusals."""
+"""Inputs in the user's units, with handles and the derivatives per handle; and the messages of
+refused moves."""
 
 import datetime
 import re
@@ -24,7 +25,8 @@ SHARE = 0.01  # of a number that does not say its `move`
 
 
 def handles(entry: Input) -> list[tuple[str, list[int]]]:
-    """(label, positions) of the parts of an input that are moved together: days go by month."""
+    """The handles of an input: (label, positions) of the numbers that are moved together, such as
+    the days of a month."""
     labels = entry.names()
     if len(labels) > MAX_DAYS and _days(labels):
         months: dict[str, list[int]] = {}
@@ -47,7 +49,8 @@ def _days(labels: tuple[str, ...]) -> bool:
 
 
 def described(name: str, entry: Input, slope: np.ndarray | None, source: str) -> dict[str, Any]:
-    """An input for the page: its metadata, its numbers, and d value / d number, if known."""
+    """An input for the page: its metadata, its numbers and, if they are known, the derivatives of
+    the value with respect to them."""
     factor, trade_unit = own_unit(entry)
     return {
         "name": name,
@@ -75,9 +78,9 @@ def own_unit(entry: Input) -> tuple[float, str]:
 
 
 def slopes(table: Sensitivities | None, inputs: Mapping[str, Input]) -> dict[str, np.ndarray]:
-    """d value / d number for every input, flattened: the derivative that the run reports. If only
-    the change along a bump of all numbers of an input is known, this change is divided among the
-    numbers.
+    """The reported derivatives of the value with respect to the numbers of every input, flattened.
+    If only the change along a bump of all numbers of an input is known, this change is divided
+    among the numbers.
     """
     if table is None:
         return {name: np.zeros(entry.value.size) for name, entry in inputs.items()}
@@ -93,12 +96,12 @@ def _slopes(derivative: Reported) -> np.ndarray:
 
 
 class Deltas(NamedTuple):
-    """The derivatives at moved inputs: those of the run, plus the change of the held derivatives
-    from the run's inputs, on the same paths.
+    """The derivatives at moved inputs: the derivatives of the run, plus the change of the held
+    derivatives from the run's inputs to the moved inputs, on the same paths.
 
-    - `table`: the table of the run, None if it has none.
+    - `table`: the derivatives in the run, None if it has none.
     - `before`, `now`: {input: estimate} of the held derivatives at the run's inputs and at the
-      moved ones; the same if nothing moved.
+      moved inputs; they are equal if nothing moved.
     """
 
     table: Sensitivities | None
@@ -109,8 +112,8 @@ class Deltas(NamedTuple):
         """The derivative along a direction of an input, with its 95 % interval; `by`: the bump of
         the input.
 
-        The error of the policy, and a reaction that held derivatives miss, are taken from the run,
-        at its own inputs.
+        The error of the policy, and a reaction of the policy that held derivatives do not contain,
+        are those of the run at the run's inputs.
         """
         now, before = self.now[name], self.before.get(name)
         available = self.table is not None and name in self.table.inputs
@@ -137,7 +140,7 @@ class Deltas(NamedTuple):
 def derivatives(
     deltas: Deltas, inputs: Mapping[str, Input], sources: Mapping[str, SourceNumbers] = NONE
 ) -> list[dict[str, Any]]:
-    """A row for each input: the effect of its move, and the effect of one unit more at every point
+    """A row for each input: the effect of its move, and the effect of one more unit at every point
     that can be dragged.
 
     `sources`: numbers from which inputs are made; their derivatives follow from those of the
@@ -147,7 +150,7 @@ def derivatives(
 
 
 def usual(entry: Input) -> np.ndarray:
-    """By how much every number of an input moves, shaped like it."""
+    """The standard move of every number of an input, in the shape of the input."""
     if entry.move is None:
         return SHARE * entry.value
     return np.full(entry.value.shape, entry.move)
@@ -183,9 +186,10 @@ MAXIMUM = 6  # moved inputs that are tried one by one
 def no_value(
     moved: Mapping[str, np.ndarray], inputs: Mapping[str, Input], invalid: int, paths: int
 ) -> CaseError:
-    """The refusal of `moved` inputs with which `invalid` of so many `paths` are non-finite."""
+    """The message that refuses `moved` inputs with which `invalid` of `paths` paths are
+    non-finite."""
     if not moved:
-        message = f"{_share(invalid, paths)} have no finite total, so there is no value"
+        message = f"with it, {_share(invalid, paths)} have no finite total, so there is no value"
         return CaseError("this choice", "", None, message)
     errors = [_no_value(name, inputs[name], new, invalid, paths) for name, new in moved.items()]
     first, *others = errors
@@ -205,11 +209,11 @@ def _no_value(name: str, values: Input, new: np.ndarray, invalid: int, paths: in
 
 
 def _share(invalid: int, paths: int) -> str:
-    return f"{'all' if invalid == paths else number(invalid, 0)} of its {number(paths, 0)} paths"
+    return f"{'all' if invalid == paths else number(invalid, 0)} of the {number(paths, 0)} paths"
 
 
 def _said(inputs: Input, values: np.ndarray, i: int) -> str:
-    """A number of an input in the unit that its field on the page has."""
+    """A number of an input in the unit of its field on the page."""
     factor, local = own_unit(inputs)
     unit = local or ("" if inputs.unit == "1" else inputs.unit)
     displayed, unit = float(values.ravel()[i]) * factor, unit_words(unit)
@@ -217,7 +221,7 @@ def _said(inputs: Input, values: np.ndarray, i: int) -> str:
 
 
 def stopped(error: Exception, moved: Sequence[str], module: str | None) -> str:
-    """A text on the end of a calculation: an error in the user's `module`, with its message, or in
+    """The message for a calculation that stopped, because of an error in the user's `module` or in
     snapo.
 
     `moved`: names of the inputs and choices that differ from the run's.

@@ -1,9 +1,9 @@
 """The trained policy of a run, valued at other inputs, for the page.
 
-The value is that of `snapo solve` of the moved case with the same policy, seed and numbers of
-paths, to the bits: the same functions on the same scenarios, with the value table and control
-variate of the new case. Each derivative is the run's, plus the change of the one with decisions
-held fixed.
+The value is bit for bit equal to that of `snapo solve` for the moved case with the same policy,
+seed and numbers of paths. The same functions run on the same scenarios, with the value table and
+the control variate of the moved case. Each derivative is that of the run, plus the change of the
+derivative with decisions held fixed.
 """
 
 from collections.abc import Callable, Iterator, Mapping
@@ -69,8 +69,8 @@ class Valuation(WhatIf):
         self._last = self.setup
 
     def use(self, policy: int | str) -> None:
-        """From now on values the policy with this number among those trained here (0 is the
-        run's), or the policy in a file.
+        """Selects the policy to value from now on: by its number among the policies trained on the
+        page (0 is the run's policy), or by its file.
 
         **Raises:** `CaseError` for a policy that was lost with the process that trained it, or a
         file with another kind of policy.
@@ -85,22 +85,26 @@ class Valuation(WhatIf):
                     "this policy",
                     "",
                     None,
-                    "it makes other kinds of decisions than the run's policy",
+                    "its kinds of decisions differ from those of the run's policy",
                 )
             self.policy = loaded
             return
         if not 0 <= policy < len(self._policies):
-            message = "it was lost when the calculation that trained it ended; use the run's policy"
+            message = (
+                "this policy was lost when the calculation that trained it ended; use the "
+                "run's policy"
+            )
             raise CaseError("this policy", "", None, message)
         self.policy = self._policies[policy]
 
     @property
     def is_adopted(self) -> bool:
-        """Whether the policy that is valued is not the run's."""
+        """Whether the valued policy is not the policy of the run."""
         return self.policy is not self.solution.policy
 
     def save_policy(self, folder: Path) -> None:
-        """Saves a policy trained here next to a case; that of the run is in the run.
+        """Saves, next to a case, a policy that was trained on the page; the policy of the run is
+        already in the run.
 
         **Raises:** `CaseError` for a policy of a user-defined class that no file can contain.
         """
@@ -128,7 +132,8 @@ class Valuation(WhatIf):
     def stages(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> Iterator[tuple[str, Any]]:
-        """Value, the sections of the domain, deltas, today, fans."""
+        """Yields the value, the sections of the domain, the deltas, today's decision, and the
+        fans."""
         changed = self.changed(values)
         study, setup = self._at(values, selected)
         policy, differs = self.policy, bool(changed or selected or self.is_adopted)
@@ -148,7 +153,7 @@ class Valuation(WhatIf):
         yield "fans", fans(rollout.tables, study.names)
 
     def afterwards(self) -> Iterator[tuple[str, Any]]:
-        """The gap of the policy to its optimum at the numbers that were valued last."""
+        """Yields the policy's distance from its optimum at the numbers that were valued last."""
         yield "health", self._health(self._last)
 
     def train_again(
@@ -160,8 +165,8 @@ class Valuation(WhatIf):
         """The policy after further training at these inputs, and its gain on the same paths.
 
         Training starts from the policy in use. The page continues to value that policy until it
-        requests the new one by its number, "policy". `summary` is called with the number of steps
-        done and of all; an exception in it stops training.
+        requests the new one by its number, "policy". `summary` is called with the number of
+        completed steps and the number of all steps; an exception in it stops training.
         """
         setup, policy = self._at(values, selected)[1], self.policy
         steps = setup.training.steps
@@ -188,11 +193,12 @@ class Valuation(WhatIf):
 
     @property
     def bounded(self) -> bool:
-        """Whether the domain has an upper bound on the value of the best policy."""
+        """Whether the domain can compute an upper bound on the value of the best policy."""
         return not isinstance(self.study.relaxation, str)
 
     def bound_here(self, values: InputValues, selected: SelectedChoices = NONE) -> dict[str, Any]:
-        """The value between two bounds at these inputs: how much the best policy could gain.
+        """The lower and upper bound on the best value at these inputs, which limit the gain of the
+        best policy.
 
         **Raises:** `CaseError` if the domain has no bound here, with the reason.
         """
@@ -211,7 +217,8 @@ class Valuation(WhatIf):
     def explained(
         self, values: InputValues, selected: SelectedChoices = NONE
     ) -> list[dict[str, Any]]:
-        """The parts with the run's policy; a policy that was trained here comes last."""
+        """The parts of the change with the run's policy; the effect of a policy trained on the page
+        comes last."""
         adopted, self.policy = self.policy, self._policies[0]
         try:
             rows = super().explained(values, selected)
@@ -232,7 +239,7 @@ class Valuation(WhatIf):
         return study, study.setup_at(setup, moved.case)
 
     def _variant(self, selected: SelectedChoices) -> tuple[Study, Setup]:
-        """The study of other choices: made and compiled once for each.
+        """The study of other choices, which is made and compiled once for each combination.
 
         **Raises:** `CaseError` if the run's policy does not fit it.
         """
@@ -241,7 +248,7 @@ class Valuation(WhatIf):
             study = self.rebuild(self.case_at({}, selected).case)
             if study.setup is None or not _alike(study.setup().policy, self.setup.policy):
                 message = (
-                    "the run's policy makes other kinds of decisions; download this case, and "
+                    "the run's policy makes different kinds of decisions; download this case and "
                     "solve it"
                 )
                 raise CaseError(", ".join(selected), "", None, message)
@@ -249,8 +256,8 @@ class Valuation(WhatIf):
         return self._variants[key]
 
     def _no_value(self, changed: InputValues, selected: SelectedChoices, invalid: int) -> CaseError:
-        """The refusal of numbers without a value; of several, those that have none by
-        themselves."""
+        """The message that refuses numbers without a value; it names those inputs whose move,
+        without the other moves, also gives no value."""
         wrong, policy = dict(changed), self.policy
         if 1 < len(changed) <= MAXIMUM:
             for name, new in changed.items():
@@ -285,7 +292,7 @@ class Valuation(WhatIf):
         }
 
     def _totals_worth(self, setup: Setup, policy: Policy | None = None):
-        """`_worth` of a policy, by default the one in use."""
+        """`_worth` of a policy, by default of the policy in use."""
         policy = policy or self.policy
         return _worth(setup, totals_of(setup, policy, self.counts.value))
 
@@ -316,9 +323,10 @@ class Valuation(WhatIf):
         ).held  # fmt: skip
 
     def _health(self, setup: Setup) -> dict[str, Any]:
-        """How far the policy is from its best here, against where it was trained.
+        """The policy's distance from its optimum at these inputs, and at the inputs of training.
 
-        The norm of the policy's gradient of the smooth value, which vanishes at the optimum.
+        It is measured by the norm of the gradient of the smooth value with respect to the policy,
+        which is 0 at the optimum.
         """
         here, trained = self._slope(setup, self.policy), self.solution.policy
         if self._trained is None:
@@ -338,7 +346,8 @@ class Valuation(WhatIf):
 
 
 def _alike(one: Policy, other: Policy) -> bool:
-    """Whether two policies have the same parts, decide on the same set, and are of one shape."""
+    """Whether two policies have the same parts, the same action set and arrays of the same
+    shapes."""
     shapes = [[np.shape(x) for x in jax.tree.leaves(item)] for item in (one, other)]
     return shapes[0] == shapes[1] and jax.tree.structure(one) == jax.tree.structure(other)
 
@@ -363,14 +372,14 @@ def fans(displayed: Mapping[str, Any], names: Mapping[str, str]) -> list[dict[st
 
 
 def _too_many(setup: Setup, totals: Totals) -> int:
-    """The number of non-finite paths, where that leaves no value; else 0."""
+    """The number of non-finite paths if they leave no value, else 0."""
     objective = setup.problem.objective
     available = len(finite_totals(objective, totals)[objective.outputs[0]])
     return 0 if available else int(np.sum(~finite(totals, objective.outputs)))
 
 
 def _worth(setup: Setup, totals: Totals) -> tuple[np.ndarray, Value]:
-    """The shares of independent groups of paths, and the value that they make."""
+    """The parts of the value from independent groups of paths, and the value."""
     problem = setup.problem
     values = problem.objective, totals, problem.sources.evaluation
     controls = problem.simulator.control_variates()

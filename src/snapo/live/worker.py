@@ -1,7 +1,8 @@
-"""The process that computes: moves are read as lines of JSON, tables are written as lines of JSON.
+"""The process that computes: it reads moves and writes tables as lines of JSON.
 
-It is separate from the server, so that a page answers while it works, and survives its end. Of the
-moves of one page only the newest is answered: a newer move stops the work on the previous one.
+It is separate from the server, so that a page can respond while the worker computes, and stays open
+when the worker ends. Only the newest move of a page is answered: a newer move stops the work on the
+previous move.
 """
 
 import argparse
@@ -44,8 +45,8 @@ def open_run(
     counts: PathCounts | None = None,
     domain: Domain | None = None,
 ) -> WhatIf:
-    """The run in a folder. `domain`: the domain of a problem in Python; by default that of the
-    run's kind.
+    """The run in a folder. `domain`: the domain of a problem in Python; by default the domain of
+    the run's kind.
 
     **Raises:** `CaseError` if there is no such run, or it has no inputs to move.
     """
@@ -64,10 +65,10 @@ def open_run(
         positions = InputPositions(domain.read, files, values.inputs_by_name, study.inputs, case)
         return Recalculation(study, values, positions, rebuild)
     if study.setup is None:
-        message = "this run trained no policy, so there is nothing to value again"
+        message = "this run trained no policy, so no policy can be valued at other inputs"
         raise CaseError(str(run), "", None, message)
     if study.setup_at is None:
-        message = f'inputs of a run of kind "{study.kind}" cannot be moved yet'
+        message = f'inputs of a run of kind "{study.kind}" cannot be moved'
         raise CaseError("snapo open", "", None, message)
     setup = study.setup()
     solution = Solution.load(run, like=setup.policy)
@@ -81,7 +82,7 @@ REST = 0.4  # seconds without an order, after which the delayed tables are compu
 
 
 class Post:
-    """Lines to the server."""
+    """Sends lines to the server."""
 
     def __init__(self, out: TextIO):
         self.out, self.lock = out, threading.Lock()
@@ -111,14 +112,13 @@ class WorkerOrder(NamedTuple):
 
     @property
     def choices(self) -> Mapping[str, Any]:
-        """The moved choices, none if they are not given."""
+        """The moved choices; empty if they are missing."""
         return self.chosen or {}
 
 
 class Desk:
-    """Requests in the order in which they arrive, except that of the moves of a page only the
-    newest is kept. A newer move also stops a page's training, and so does "cancel", which has no
-    move.
+    """Requests in the order in which they arrive; of the moves of a page, only the newest remains.
+    A newer move also stops a page's training, and so does "cancel", which has no move.
     """
 
     def __init__(self, lines: TextIO):
@@ -138,14 +138,14 @@ class Desk:
         self.orders.put(None)
 
     def rests(self, seconds: float) -> bool:
-        """Waits this long for an order; returns True if there was none."""
+        """Waits this many seconds for an order; returns True if there was none."""
         until = time.monotonic() + seconds
         while self.orders.empty() and time.monotonic() < until:
             time.sleep(0.02)
         return self.orders.empty()
 
     def stale(self, order: WorkerOrder) -> bool:
-        """Whether the page has asked for something else since."""
+        """Whether the page has sent a newer request."""
         return self.newest.get(order.page) != order.n
 
 
@@ -156,8 +156,8 @@ def serve(
     module: str | None = None,
     shown: HeadlineTables | None = None,
 ) -> None:
-    """Answers until there are no more lines; `module`: the module of the user's simulator; `shown`:
-    as the page shows tables."""
+    """Answers requests until there are no more lines; `module`: the module of the user's simulator;
+    `shown`: converts tables to the form that the page shows."""
     shown = shown or HeadlineTables(valuation)
     while (order := desk.orders.get()) is not None:
         try:
@@ -207,7 +207,8 @@ def _move(
 
 
 def _write(valuation: WhatIf, order: WorkerOrder) -> None:
-    """The case in a folder; or as a workbook in it, with the files that no sheet can hold."""
+    """Writes the case to a folder, or as a workbook in the folder, with the files that no sheet can
+    hold."""
     files, folder = valuation.files(order.values, order.choices), order.folder
     if not order.workbook:
         files.write(Path(folder))
@@ -224,7 +225,7 @@ def _write(valuation: WhatIf, order: WorkerOrder) -> None:
 
 
 class Cancelled(Exception):
-    """Cancels work that a page no longer needs."""
+    """Raised to cancel work that a page no longer needs."""
 
 
 def _train(
@@ -246,7 +247,8 @@ def _train(
 
 
 def in_words(error: CaseError) -> str:
-    """A refusal for the page: the case was written to a folder that is unknown to its user."""
+    """A refusal as text for the page, without the temporary folder of the case, which the user does
+    not know."""
     return " ".join(_short(item) for item in (error, *error.others))
 
 
@@ -263,7 +265,7 @@ def _unpickled(data: bytes) -> Domain:
 
 
 def main(arguments: list[str] | None = None) -> int:
-    """`python -m snapo.live.worker RUN`, as the server starts it."""
+    """The program `python -m snapo.live.worker RUN`, which the server starts."""
     parser = argparse.ArgumentParser(prog="snapo.live.worker")
     parser.add_argument("run", type=Path)
     parser.add_argument("--simulator")

@@ -1,4 +1,5 @@
-"""Charts of distributions over time, of policies over two numbers, and of risks side by side."""
+"""Charts of distributions over time, of policies as a function of two numbers, and of risks side by
+side."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -26,8 +27,9 @@ def quantile_fan(
 ) -> None:
     """Bands of quantiles over years: 1-99, 5-95 and 25-75 %, the median and the mean.
 
-    `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value to draw a line at; `across`: the name of
-    the horizontal axis if it does not show years; `dates`: the steps of a date axis.
+    `fan`: {"p01": [n], …, "mean": [n]}; `level`: a value at which a line is drawn; `across`: the
+    name of the horizontal axis if it does not show years; `dates`: the dates of the steps, for a
+    date axis.
     """
     for low, high, alpha, name in (
         ("p01", "p99", 0.14, "1–99 %"),
@@ -61,10 +63,10 @@ def heat(
     unit: str,
     text: Callable[[float], str] = lambda share: f"{100 * share:.0f}",
 ) -> None:
-    """Numbers in a grid [rows, columns], the first row at the bottom.
+    """Numbers in a grid [rows, columns], with the first row at the bottom.
 
-    Larger numbers are darker, and numbers below zero have another colour. `text`: the format of
-    the number in its cell, by default a percentage; a cell without a number stays empty.
+    Larger numbers are darker, and numbers below zero have another colour. `text`: formats the
+    number of a cell, by default as a percentage; a cell without a number is empty.
     """
     from matplotlib.patches import Rectangle
 
@@ -99,7 +101,7 @@ class Bars:
 
 
 def grouped(axes: "Axes", labels: Sequence[str], series: Sequence[Bars], unit: str) -> None:
-    """Bars side by side per label, and above all of them the zero line."""
+    """Bars side by side for every label, with the zero line drawn over them."""
     width = 0.8 / len(series)
     position = np.arange(len(labels))
     for i, item in enumerate(series):
@@ -118,7 +120,8 @@ def grouped(axes: "Axes", labels: Sequence[str], series: Sequence[Bars], unit: s
 
 @dataclass(frozen=True)
 class Swing:
-    """One line of a tornado: effects of a rise and a fall of an input, with a 95 % half width."""
+    """One line of a tornado chart: the effects of an increase and a decrease of an input, with the
+    half-width of a 95 % interval."""
 
     name: str
     value: float
@@ -127,7 +130,7 @@ class Swing:
 
 
 def tornado(axes: "Axes", swings: Sequence[Swing], unit: str) -> None:
-    """Horizontal bars from zero, the first on top; gains and losses in different colours."""
+    """Horizontal bars from zero, with the first on top; gains and losses have different colours."""
     from matplotlib.ticker import NullLocator
 
     reach = max((abs(item.value) + item.half for item in swings), default=1.0) or 1.0
@@ -152,7 +155,8 @@ def tornado(axes: "Axes", swings: Sequence[Swing], unit: str) -> None:
 
 
 def _room(swings: Sequence[Swing], reach: float) -> tuple[float, float]:
-    """Limits of the horizontal axis that leave room for the numbers at the ends of the bars."""
+    """The limits of the horizontal axis, which leave room for the numbers at the ends of the
+    bars."""
     names = max((len(item.name) for item in swings), default=0)
     points = max(200.0, WIDTH - LETTER * names - 24.0)  # of the plot, next to the names
     low, high = -0.04 * reach, 0.04 * reach
@@ -180,7 +184,8 @@ class Layer:
 
 
 def stack(axes: "Axes", years: np.ndarray, layers: Sequence[Layer], unit: str) -> None:
-    """Layers on top of one another, each held for its year; negative ones hang below zero."""
+    """Layers on top of one another, each constant within its year; negative layers are below
+    zero."""
     edges = np.append(years, years[-1] + (years[1] - years[0] if len(years) > 1 else 1.0))
     above, below = np.zeros(len(years)), np.zeros(len(years))
     for layer in layers:
@@ -233,9 +238,8 @@ def scatter(axes: "Axes", points: Sequence[tuple[str, float, float, bool]], unit
 
 
 def _beside(axes: "Axes", points) -> list[tuple[float, float]]:
-    """Offsets of the names in points: the nearest position that is still free of names and points.
-
-    The names are placed from top to bottom.
+    """The offsets of the names, in typographic points. Names are placed from top to bottom, each at
+    the nearest position that is free of names and of the chart's points.
     """
     width, height = axes.get_window_extent().size
     (left, right), (low, high) = axes.get_xlim(), axes.get_ylim()

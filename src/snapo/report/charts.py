@@ -20,7 +20,7 @@ INTERVAL = critical()
 
 @dataclass(frozen=True)
 class LadderBar:
-    """One bar of a ladder: its text at the left, its number at the right, an error bar."""
+    """One bar of a ladder chart: a text at the left, a number at the right, and an error bar."""
 
     name: str
     value: float
@@ -31,7 +31,8 @@ class LadderBar:
 
 @dataclass(frozen=True)
 class Line:
-    """A line over time; `style` "-", "--" or ":"; `step` holds each value for its day."""
+    """A line over time; `style` "-", "--" or ":"; `step`: whether a value is constant within its
+    day."""
 
     label: str
     values: np.ndarray
@@ -42,7 +43,7 @@ class Line:
 
 
 def ladder(axes: "Axes", bars: Sequence[LadderBar]) -> None:
-    """Horizontal bars from zero, the first on top, each with its number written out."""
+    """Horizontal bars from zero, with the first on top and the number next to each bar."""
     from matplotlib.ticker import NullLocator
 
     values = np.array([rung.value for rung in bars])
@@ -68,9 +69,8 @@ def ladder(axes: "Axes", bars: Sequence[LadderBar]) -> None:
 
 
 def waterfall(axes: "Axes", before: LadderBar, steps: Sequence[LadderBar], now: LadderBar) -> None:
-    """From one total to another: horizontal bars, each from where the one above ends.
-
-    The scale shows the totals and the steps between them, and not zero.
+    """Horizontal bars from one total to another; each bar begins where the bar above it ends. The
+    scale covers the totals and the steps between them, but not zero.
     """
     from matplotlib.ticker import NullLocator
 
@@ -104,7 +104,7 @@ def waterfall(axes: "Axes", before: LadderBar, steps: Sequence[LadderBar], now: 
 
 
 def lines(axes: "Axes", when: np.ndarray, curves: Sequence[Line], unit: str) -> None:
-    """Lines over dates [T]; a gap where a value is not a number."""
+    """Lines over dates [T], with a gap if a value is not a number."""
     for curve in curves:
         style = "steps-post" if curve.step else "default"
         axes.plot(
@@ -146,10 +146,8 @@ def fan(axes: "Axes", when, mean, low, high, unit: str, *, reach=None, limits=No
 
 def signed_strip(axes: "Axes", when, values, unit: str, names, *, half=None, compare=None) -> None:
     """One thin bar for each day: `names` = (label above zero, label below); `compare`: a second
-    plan.
-
-    `half` [T] is the half width of a 95 % interval, drawn as a whisker; days without a value
-    are NaN.
+    plan. `half` [T]: the half-widths of 95 % intervals, drawn as whiskers; days without a value are
+    NaN.
     """
     step = float(np.min(np.diff(when), initial=1.0))
     edges = np.append(when, when[-1] + step)
@@ -171,13 +169,13 @@ def signed_strip(axes: "Axes", when, values, unit: str, names, *, half=None, com
 
 
 def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, compare) -> None:
-    """A bar for each label, with a colour and a name for each sign, 95 % whiskers, and a
-    comparison.
+    """A bar for each label, with a colour and a name for each sign, whiskers for 95 % intervals,
+    and a comparison.
 
     **Arguments:**
 
-    - `half`: [n] half widths of 95 % intervals, or None.
-    - `compare`: (name, [n]) drawn as a bold tick across the bar; or None.
+    - `half`: [n] half-widths of 95 % intervals, or None. - `compare`: (name, [n]) drawn as bold
+      ticks across the bars, or None.
     """
     position = np.arange(len(values))
     above = np.where(values > 0, values, np.nan)
@@ -205,7 +203,7 @@ def signed_bars(axes: "Axes", labels, values, unit: str, *, names, half, compare
 
 
 def histogram(axes: "Axes", edges, counts, marks, unit: str) -> None:
-    """Shares of paths in bins; `marks` [(text, position)] as lines, the first one bold.
+    """Shares of paths in bins; `marks` [(text, position)] are drawn as lines, the first in bold.
 
     A mark whose text would overlap an earlier one is omitted; texts stay within the axes.
     """
@@ -237,7 +235,8 @@ def histogram(axes: "Axes", edges, counts, marks, unit: str) -> None:
 
 
 def trace(axes: "Axes", steps, curves: Sequence[Line], unit: str, log: bool = False) -> None:
-    """Lines over training steps; the view leaves out the first throes of training."""
+    """Lines over training steps; the axis does not cover the large changes at the start of
+    training."""
     from matplotlib.ticker import FuncFormatter, NullLocator
 
     for curve in curves:
@@ -272,8 +271,8 @@ def trace(axes: "Axes", steps, curves: Sequence[Line], unit: str, log: bool = Fa
 
 
 def regions(axes: "Axes", level, below, above, here, names, units: tuple[str, str]) -> None:
-    """Regions of prices over a level: one action below `below`, another above `above`, and none
-    between them.
+    """Regions of prices over a level: one action at prices below `below`, another above `above`,
+    and none between them.
 
     `here` is (level, price) today; `names` (under, between, over) are written into the regions.
     """
@@ -303,7 +302,8 @@ def regions(axes: "Axes", level, below, above, here, names, units: tuple[str, st
 
 
 def swept_line(axes: "Axes", points: Sequence[tuple], name: str, unit: str) -> None:
-    """A value over a number, with its 95 % band; `points`: (number, (value, standard error))."""
+    """A value as a function of a number, with its 95 % band; `points`: (number, (value, standard
+    error))."""
     x = np.array([at for at, _ in points])
     y = np.array([value for _, (value, _) in points])
     half = INTERVAL * np.array([error or 0.0 for _, (_, error) in points])
@@ -321,7 +321,7 @@ def swept_map(
     cells: Mapping[tuple[str, str], float | None],
     names: Sequence[str],
 ) -> None:
-    """A value over two axes, one cell for each pair of their `marks`: darker is higher."""
+    """A value over two axes, with a cell for each pair of their `marks`; darker is higher."""
     from matplotlib.patches import Rectangle
 
     depth, few = _depth(cells.values()), len(marks[0]) <= 10
@@ -350,7 +350,7 @@ def swept_map(
 def swept_points(
     axes: "Axes", points: Sequence[tuple[float, float, float]], names: Sequence[str]
 ) -> None:
-    """A value at points (across, up, value): darker is higher."""
+    """A value at points (across, up, value); darker is higher."""
     depth = _depth([value for _, _, value in points])
     for across, up, value in points:
         face = {"color": LIGHT["main"], "alpha": depth(value), "markersize": 11.0}
@@ -362,7 +362,8 @@ def swept_points(
 
 
 def _depth(values: Iterable[float | None]) -> Callable[[float], float]:
-    """The depth of a value's colour, from 0.08 to that of `DARKEST` for the largest value."""
+    """The depth of a value's colour, from 0.08 for the smallest to `DARKEST` for the largest
+    value."""
     finite = [value for value in values if value is not None]
     low, high = min(finite), max(finite)
     return lambda value: 0.08 + (DARKEST - 0.08) * (value - low) / ((high - low) or 1.0)

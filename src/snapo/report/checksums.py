@@ -1,4 +1,4 @@
-"""Whether the files of a run are unchanged: checksums, saved in run.json."""
+"""Checks with checksums, which are saved in run.json, whether the files of a run are unchanged."""
 
 import hashlib
 import json
@@ -11,8 +11,7 @@ Stamps = dict[str, tuple[int, int, int]]
 
 
 def stamps(folder: Path) -> Stamps:
-    """The inode, time and size of every file of the folder and of its parts, none of which is
-    read."""
+    """The inode, time and size of every file in the folder and its subfolders; no file is read."""
     table: Stamps = {}
     for item in (*folder.glob("*"), *folder.glob("parts/*")):
         if item.is_file() and item.suffix != ".partial":
@@ -23,7 +22,7 @@ def stamps(folder: Path) -> Stamps:
 
 
 def written_since(folder: Path, before: Stamps, apart: tuple[str, ...]) -> dict[str, str]:
-    """{name: checksum} of the files that are new or changed since `before`, except those
+    """{name: checksum} of the files that are new or changed since `before`, except the files
     `apart`."""
     now = stamps(folder)
     names = [name for name in now if now[name] != before.get(name) and name not in apart]
@@ -31,7 +30,7 @@ def written_since(folder: Path, before: Stamps, apart: tuple[str, ...]) -> dict[
 
 
 def changed_files(folder: Path, files: Any) -> list[str]:
-    """The files of {name: checksum} that are missing or were changed."""
+    """Those files of {name: checksum} that are missing or were changed."""
     available = files if isinstance(files, Mapping) else {}
     return [
         name for name, requested in available.items() if not _same(folder / str(name), requested)
@@ -51,7 +50,7 @@ def checksum(content: bytes) -> str:
 
 
 def sealed(record: Mapping[str, Any]) -> str:
-    """A record as the text of its file, with a checksum that shows a change."""
+    """A record as the text of its file, with a checksum by which a change is detected."""
     bare = {key: value for key, value in record.items() if key != SELF}
     return json.dumps({**bare, SELF: _seal(bare)}, indent=1)
 

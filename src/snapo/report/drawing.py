@@ -1,7 +1,8 @@
-"""Drawings of a report: SVG by matplotlib that is small, reproducible, themed and needs no network.
+"""Drawings of a report: SVG made by matplotlib that is small and reproducible, has light and dark
+themes, and needs no network.
 
-Colours have names by meaning, for light and for dark paper; axes show dates by month or by day and
-numbers with separators.
+Colours are named by their meaning, for light and for dark backgrounds. Axes show dates by month or
+day, and numbers with separators.
 """
 
 import datetime
@@ -67,7 +68,7 @@ def variables(colours: dict[str, str]) -> str:
 
 
 def by_variable(svg: str) -> str:
-    """The same drawing with every colour of the light theme as `var(--name)`."""
+    """The same drawing, in which every colour of the light theme is replaced by `var(--name)`."""
     for name, colour in LIGHT.items():
         svg = svg.replace(colour, f"var(--{name})")
     return svg
@@ -81,8 +82,8 @@ def days(values: Sequence[str]) -> np.ndarray:
 
 
 def local_times_of(labels: Sequence[str], steps_a_day: int) -> list[tuple[int, str]]:
-    """(number, local time) of the steps, ISO 8601, whose time does not follow from the step before:
-    the first, and those after a change of the clocks."""
+    """(number, local time in ISO 8601) of the steps whose time cannot be computed from the step
+    before: the first step, and the steps after a change of the clocks."""
     times = np.array(labels, "datetime64[h]").astype(np.int64)
     changes = np.flatnonzero(np.diff(times) != 24 // steps_a_day) + 1
     return [(n, labels[n]) for n in [0, *changes.tolist()]]
@@ -107,8 +108,9 @@ def date_numbers(times: Sequence[datetime.datetime]) -> np.ndarray:
 
 
 def date_axis(axes: "Axes", first: float, last: float, hours: bool = False) -> None:
-    """Ticks at month starts, the year under each January and the first; at days when short, and at
-    `hours` too where there are only two days or three."""
+    """Ticks at the starts of months, with the year below the first tick and below each January. A
+    short axis has ticks at days; with `hours`, an axis of two or three days also has ticks at
+    hours."""
     from matplotlib import dates as mdates
 
     axes.set_xlim(first, max(last, first + 1))
@@ -155,7 +157,7 @@ def _day_text(item: datetime.datetime, first: bool) -> str:
 
 
 def number_axis(axis: "Axis", count: int = 6) -> None:
-    """Round numbers with thousands separators, as many decimals as their spacing needs."""
+    """Round numbers with thousands separators and as many decimals as their spacing needs."""
     from matplotlib.ticker import FuncFormatter, MaxNLocator
 
     axis.set_major_locator(MaxNLocator(count, steps=[1, 2, 2.5, 5, 10]))
@@ -229,14 +231,15 @@ def draw(
     height: float = 250.0,
     rows: Sequence[float] = (1.0,),
 ) -> Markup:
-    """A chart as SVG for a page. Its colours are CSS variables, and its text has the page's font.
+    """A chart as SVG for a page; its colours are CSS variables, and its text has the font of the
+    page.
 
     **Arguments:**
 
     - `name`: unique on the page.
-    - `alt`: a description of the chart, for a reader who does not see it.
-    - `paint`: called with one `Axes` per row.
-    - `height`: points; the width is always 720.
+    - `alt`: a description of the chart for readers who cannot see it.
+    - `paint`: called with one `Axes` per row. - `height`: in points; the width is always 720
+      points.
     - `rows`: relative heights of panels that share the horizontal axis.
     """
     svg = _svg(paint, (WIDTH, height), {"nrows": len(rows), "height_ratios": rows, "sharex": True})
@@ -246,7 +249,7 @@ def draw(
 def draw_alone(
     title: str, paint: Callable[..., None], size: tuple[float, float], columns: Sequence[float]
 ) -> str:
-    """A separate picture, on white: one `Axes` per column; `size` in points."""
+    """A separate picture with a white background and one `Axes` per column; `size` in points."""
     svg = _svg(paint, size, {"ncols": len(columns), "width_ratios": columns}, LIGHT["paper"])
     svg = _inline(svg, "picture", title).replace("var(--sans)", SANS)
     return svg.replace("<svg ", '<svg xmlns="http://www.w3.org/2000/svg" ', 1)
@@ -273,7 +276,8 @@ def _svg(paint, size, grid, face: str = "none") -> str:
 
 
 def _inline(svg: str, name: str, alt: str) -> str:
-    """Only the drawing: no prologue, no page-wide style, no names that clash on a page."""
+    """Only the drawing, without a prologue, styles for the whole page, or names that clash on a
+    page."""
     svg = svg[svg.index("<svg") :]
     svg = re.sub(r"<defs>\s*<style.*?</style>\s*</defs>", "", svg, flags=re.DOTALL)
     svg = re.sub(r"<!--.*?-->", "", svg, flags=re.DOTALL)
@@ -296,7 +300,7 @@ def _id(result: str, used: set[str], name: str) -> str:
 
 
 def legend_above(axes: "Axes", order: Sequence[str] = ()) -> None:
-    """The legend in one line above the plot, at the right, where it covers no data.
+    """Draws the legend in one line above the plot, at the right, where it covers no data.
 
     `order` names the entries that come first.
     """
@@ -313,5 +317,5 @@ def legend_above(axes: "Axes", order: Sequence[str] = ()) -> None:
 
 
 def unit_above(axes: "Axes", unit: str) -> None:
-    """The unit of the vertical axis, level, at the top left."""
+    """Writes the unit of the vertical axis horizontally at the top left."""
     axes.set_title(unit, loc="left", pad=7)

@@ -1,4 +1,5 @@
-"""The evidence of a run: its training, its checks, its origin, and the spread between its seeds."""
+"""The sections on the evidence for a result: training, checks, origin, and the spread between
+seeds."""
 
 import re
 from collections.abc import Sequence
@@ -28,13 +29,12 @@ BELOW = (
 RESTLESS = 2.0  # times its noise: a gradient that is not that of a policy at rest
 BETTER = " does better"  # in a sentence on two rules, of which one should be taken
 NAMED = 3  # checks that fail, on the first screen
-TOTAL = "for all parts, before this page was written"
+TOTAL = "for all parts, without the writing of this page"
 
 
 def check_marks(verdicts: Sequence[tuple[str, bool]], noun: str = "checks") -> list[Mark]:
-    """The verdict on all checks, with the names of those that fail; none if there are none.
-
-    `verdicts`: (name, whether it holds); `noun`: for the reader.
+    """The verdict on all checks, with the names of the checks that fail; no mark if there are no
+    checks. `verdicts`: (name, whether the check holds); `noun`: the noun for a check.
     """
     failed = [name for name, holds in verdicts if not holds]
     if failed:
@@ -47,7 +47,7 @@ def check_marks(verdicts: Sequence[tuple[str, bool]], noun: str = "checks") -> l
 
 
 def training_history(run: RunFiles, unit: str) -> Section:
-    """The objective, in its `unit`, and the gradient norm over the steps of training."""
+    """Shows the objective, in its `unit`, and the gradient norm over the steps of training."""
     title, short = "Training history", "Training"
     steps = run.column("history", "step")
     lines = [
@@ -76,16 +76,16 @@ def training_history(run: RunFiles, unit: str) -> Section:
     invalid = run.column("history", "bad_paths")
     count = 0 if invalid is None else float(np.nansum(invalid))
     caption = (
-        "The selected policy is the one with the best exact value on the validation paths, not "
-        f"the last. Paths left out because of non-finite numbers: {number(count, 0)}."
+        "The selected policy is the one with the best exact value on the validation paths; it "
+        "need not be the last one. Paths left out because of non-finite numbers: "
+        f"{number(count, 0)}."
     )
     return Section("history", title, short, [Chart(svg, caption)])
 
 
 def notes(run: RunFiles) -> list[Text]:
-    """Sentences that a reader of the value must know: paths left out, ruin, unused controls.
-
-    The bound is not among them: it is next to the value.
+    """Sentences that a reader of the value must know, for example on omitted paths, ruin or unused
+    controls. The bound is not among them, because it is shown next to the value.
     """
     return [
         Text(re.sub(r"(?<![\w-])-(?=\d)", MINUS, str(item)), caveat=True)
@@ -95,8 +95,8 @@ def notes(run: RunFiles) -> list[Text]:
 
 
 def with_verdicts(first: Section, run: RunFiles) -> Section:
-    """The first section with each verdict on which rule does better among its marks, and not only
-    as a note further down."""
+    """The first section, in which a verdict on which rule is better is one of the marks, and not
+    only a note further down."""
     texts = (str(item) for item in (run.result.verdict, *run.result.notes))
     sentences = list(dict.fromkeys(x for x in texts if BETTER in x))
     marks = [Mark(x.startswith("The policy"), x) for x in sentences]
@@ -113,8 +113,8 @@ def with_verdicts(first: Section, run: RunFiles) -> Section:
 
 
 def gradient(run: RunFiles) -> list[tuple[str, str, str]]:
-    """Whether training could still improve the policy, by its gradient; none if that is
-    not known."""
+    """Whether training could still improve the policy, as its gradient shows; empty if the gradient
+    is unknown."""
     norm, noise = run.result.policy_gradient_norm, run.result.policy_gradient_noise
     if norm is None or noise is None:
         return []
@@ -136,13 +136,13 @@ def verdict(passed: Any, valid: str, invalid: str, undecided: str = "not tried")
 
 
 def spent(run: RunFiles) -> dict[str, float]:
-    """Wall-clock seconds by name, without the writing of the page itself."""
+    """Wall-clock seconds by name, without the time to write the page."""
     available = run.get("seconds") or run.result.seconds
     return {name: x for name, x in available.items() if finite(x) is not None and name != "report"}
 
 
 def times(run: RunFiles) -> list[Facts]:
-    """The cost of the run, part by part."""
+    """The time of the run, part by part."""
     facts = [
         (name.capitalize(), seconds(item), TOTAL if name == "total" else "wall clock")
         for name, item in spent(run).items()
@@ -151,7 +151,7 @@ def times(run: RunFiles) -> list[Facts]:
 
 
 def made_with(run: RunFiles) -> Table | Missing:
-    """Engine, paths, seed and versions."""
+    """Shows engine, paths, seed and versions."""
     engine = run.get("engine") or run.result.engine
     name = engine.get("name") if isinstance(engine, dict) else engine
     reason = engine.get("reason") if isinstance(engine, dict) else None
@@ -174,17 +174,18 @@ PARTS, STYLES = 6, (":", "--", "-.")  # parts of the state that are drawn, and t
 
 
 def history(run: RunFiles) -> Section:
-    """The objective and the gradient norm over the steps of training, and adjoints by step."""
+    """Shows the objective and the gradient norm over the steps of training, and the adjoints by
+    step."""
     result = training_history(run, run.unit)
     return replace(result, blocks=[*result.blocks, *_adjoints(run)])
 
 
 def _adjoints(run: RunFiles) -> list[Block]:
-    """The norms of adjoints by step and part of the state, if training measured them."""
+    """Shows the norms of adjoints by step and part of the state, if training measured them."""
     steps = run.column("adjoints", "step")
     if steps is None or steps.size < 2:
         return []
-    available = [("usual", "Usual path", "main"), ("largest", "Largest path", "withdraw")]
+    available = [("usual", "Typical path", "main"), ("largest", "Largest norm", "withdraw")]
     leaves = [name for name in run.adjoints if name not in ("step", "usual", "largest")]
     available += [(name, f"State {name!r}", "limit") for name in leaves[:PARTS]]
     lines = []
@@ -205,38 +206,39 @@ def _adjoints(run: RunFiles) -> list[Block]:
     alt = f"Norm of the adjoint before each of {steps.size} steps; at most {number(maximum)}."
     svg = draw("adjoints", alt, paint, 230)
     caption = (
-        f"Norm of the adjoint before every step, on {PATHS} training paths: when training last "
-        "checked whether it can differentiate the whole horizon, or, if the case sets clip, "
-        "window or keep, for the trained policy. Parts of the state are shown as root mean "
-        "squares over these paths. All numbers are in adjoints.csv."
+        f"Norm of the adjoint before every step, on {PATHS} training paths. It was measured when "
+        f"training last checked whether it can differentiate the whole horizon; if the case sets "
+        f"clip, window or keep, it is that of the trained policy. Parts of the state are shown as "
+        f"root mean squares over these paths. All numbers are in adjoints.csv."
     )
     return [Chart(svg, caption), Text(_growth(run, leaves))]
 
 
 def _growth(run: RunFiles, leaves: list[str]) -> str:
-    """By how much the adjoints grow, and how training went back."""
+    """The growth of the adjoints, and the settings of backpropagation."""
     names = ("usual", "largest", *leaves)
     columns = (run.column("adjoints", name) for name in names)
     usual, largest, *parts = (() if column is None else tuple(column) for column in columns)
     summary = Growth(0, usual, largest, dict(zip(leaves, parts))).describe()
     window, clip, keep = run.result.window, run.result.clip, run.result.keep
     if window is not None:
-        summary += f" Training used windows of {window} steps."
+        summary += f" Training backpropagated through windows of {window} steps."
     if clip is not None:
         summary += f" At the end of training each path's adjoint was bounded at {number(clip)}."
     if keep is not None and keep < 1:
-        summary += f" Every backward step passed on only a share of {number(keep)} of the adjoint."
+        summary += f" Every backward step passed on only the share {number(keep)} of the adjoint."
     return summary
 
 
 def making(run: RunFiles) -> Section:
-    """The state of every part, times, engine, seed and versions."""
+    """The section with the state of every part, times, engine, seed and versions."""
     blocks: list[Block] = [_parts(run), *_times(run), made_with(run)]
     return Section("making", "Parts, times and versions", "Versions", blocks)
 
 
 def _times(run: RunFiles) -> list[Facts]:
-    """The stages of the training and the total; the parts have theirs in their table."""
+    """The times of the stages of training and the total time; the times of the parts are in their
+    table."""
     results = [
         (name.capitalize(), seconds(item), TOTAL if name == "total" else "wall clock")
         for name, item in spent(run).items()
@@ -263,7 +265,8 @@ MAX_SEEDS = 40  # seeds in the picture; the table has all
 
 
 def seeds(run: RunFiles) -> Section:
-    """The value of every seed with its interval, and the spread next to the Monte Carlo error."""
+    """Shows the value of every seed with its interval, and the spread next to the Monte Carlo
+    error."""
     result = run.get("by_seed")
     errors = [finite(result.get(name)) for name in ("standard_error", "deviation")]
     values = [row["value"] for row in result["rows"]]
@@ -282,21 +285,23 @@ def _sentence(result: dict[str, Any], unit: str, digits: int) -> str:
     half = plus_minus(result["standard_error"], digits)
     paths = number(result["paths"], 0)
     text = (
-        f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths their "
-        f"policies earn {mean} {unit} on average; the worst earns {worst}, the best {best}"
+        f"The case was trained with {len(result['rows'])} seeds. On {paths} common paths, the "
+        f"values of their policies are {mean} {unit} on average, {worst} for the worst policy and "
+        f"{best} for the best policy"
     ).replace("  ", " ")
     if finite(result["deviation"]) is not None:
         text += (
-            f"; their standard deviation is {spread}, and {half} of it is due to these "
-            "paths, which are common to all"
+            f"; their standard deviation is {spread}. The simulation error of the mean is {half}; "
+            "it comes from these paths and is common to all seeds"
         )
-    return f"{text}. This page is the run of seed {result['best']}."
+    return f"{text}. This page shows the run with seed {result['best']}."
 
 
 def _picture(
     result: dict[str, Any], displayed: list[dict[str, Any]], unit: str, digits: int
 ) -> Chart:
-    """Differences from the best, which are known far better than the values themselves."""
+    """Differences from the best policy, which have much smaller errors than the values
+    themselves."""
     names = [str(row["seed"]) for row in displayed]
     below = [-row["below_best"] for row in displayed]
     errors = [charts.INTERVAL * (finite(row["below_best_error"]) or 0.0) for row in displayed]
@@ -314,10 +319,12 @@ def _picture(
 
     summary = "; ".join(f"seed {name} {number(item, digits)}" for name, item in zip(names, below))
     caption = (
-        "Differences between the policy of each seed and the best, path by path on common "
+        "The value of the policy of each seed minus the value of the best policy, on common "
         "paths, with 95 % intervals."
     )
-    return Chart(draw("seeds-picture", f"Gaps to the best: {summary}.", paint, 220), caption)
+    return Chart(
+        draw("seeds-picture", f"Differences from the best policy: {summary}.", paint, 220), caption
+    )
 
 
 def _table(result: dict[str, Any], digits: int) -> Table:

@@ -1,4 +1,4 @@
-"""The files of a run folder as read by a report: missing ones are None."""
+"""The files of a run folder, as a report reads them; missing files are None."""
 
 import csv
 import json
@@ -27,14 +27,15 @@ SENSITIVITIES = (
 
 @dataclass(frozen=True)
 class Sensitivity:
-    """One line of sensitivities.csv: d value / d input, per one unit of the input.
+    """One line of sensitivities.csv: the derivative of the value with respect to an input, per unit
+    of the input.
 
     - `value`, `low`, `high`: the reported derivative and its 95 % interval, None if it is not
-      known; `sampling`, `policy`: the parts of its half-width; `source`: "held", "through the
-      policy", "range" or "not known".
-    - `held`, `held_error`: with the decisions held fixed; `smooth`, `smooth_error`: through the
-      policy's reaction; `moved`, `moved_error`: the change of the held derivative in the second
-      half of training. None if they were not requested.
+      known; `sampling`, `policy`: the parts of the half-width of this interval; `source`: "held",
+      "through the policy", "range" or "not known".
+    - `held`, `held_error`: the derivative with the decisions held fixed; `smooth`, `smooth_error`:
+      the derivative that includes the policy's reaction; `moved`, `moved_error`: the change of the
+      held derivative in the second half of training. They are None if they were not requested.
     """
 
     input: str
@@ -59,10 +60,12 @@ class RunResult:
     """The entries of result.json that every kind of run may have; a missing entry is empty.
 
     - `value`, `standard_error`, `smoothing_gap`, `policy_gradient_norm`, `policy_gradient_noise`:
-      None if they are missing or non-finite.
-    - `references`: {name: value}; `limits`: the fields of a `LimitFound` each; `notes`: sentences.
+      None if they are missing or not finite.
+    - `references`: {name: value}; `limits`: entries with the fields of a `LimitFound`; `notes`:
+      sentences.
     - `window`, `clip`, `keep`: the settings of backpropagation at the end of training.
-    - `seconds`: seconds by name; `engine`, `paths`, `seed`: how to reproduce these numbers.
+    - `seconds`: times by name, in seconds; `engine`, `paths`, `seed`: the settings that reproduce
+      these numbers.
     """
 
     value: float | None = None
@@ -94,19 +97,19 @@ class RunResult:
 
     @classmethod
     def read(cls, folder: Path) -> "RunResult":
-        """The result of the run in `folder`; an empty one if there is none, or it is damaged."""
+        """The result of the run in `folder`; an empty result if the file is missing or damaged."""
         return cls.of(read_table(folder / RESULT) or {})
 
 
 @dataclass(frozen=True)
 class RunFiles:
-    """The contents of a run folder; the class of a domain adds its units.
+    """The contents of a run folder; the subclass of a domain adds its units.
 
     **Attributes:**
 
     - `result`: result.json.
-    - `details`: run.json's `about` and the tables of all parts that are done; read with `get` and
-      `numbers`, since any key may be missing.
+    - `details`: the `about` of run.json and the tables of all completed parts; read them with `get`
+      and `numbers`, since any key may be missing.
     - `parts`: the parts in run.json by name.
     - `sensitivities`: the lines of sensitivities.csv.
     - `profile`, `history`, `adjoints`: columns of these CSV files by name, as text.
@@ -122,7 +125,7 @@ class RunFiles:
 
     @classmethod
     def read(cls, folder: Path):
-        """Reads the run in `folder`; a file that is not there counts as empty."""
+        """Reads the run in `folder`; a missing file counts as empty."""
         record = entries_of(RunRecord, read_table(folder / "run.json"))
         details = dict(record.about)
         parts = {name: record.part(name) for name in record.parts}
@@ -130,7 +133,8 @@ class RunFiles:
         for name, files in spoilt.items():
             if name in parts:
                 note = (
-                    f"{files[0]} was changed or damaged since it was written; solve with --resume"
+                    f"{files[0]} was changed or damaged since it was written; run snapo solve "
+                    f"with --resume"
                 )
                 parts[name] = parts[name]._replace(state="failed", note=note)
         invalid = {file for files in spoilt.values() for file in files}
@@ -168,7 +172,8 @@ class RunFiles:
         return lookup(self.details, path, default)
 
     def numbers(self, path: str, column: str = "") -> np.ndarray | None:
-        """A list of the parts' tables as float64, else the column of profile.csv, else None."""
+        """The numbers of this name as float64, from the tables of the parts or else from a column
+        of profile.csv; None if there are none."""
         result = array(self.get(path))
         return self.column("profile", column) if result is None and column else result
 
@@ -178,7 +183,7 @@ class RunFiles:
         return None if cells is None else array([_number(cell) for cell in cells])
 
     def left_out(self, *parts: str) -> bool:
-        """Whether none of these parts was requested, or exists from an earlier run."""
+        """Whether none of these parts was requested or exists from an earlier run."""
         missing = self.get(LEFT_OUT, [])
         return all(part in missing and part not in self.parts for part in parts)
 
@@ -211,7 +216,7 @@ def lookup(table: Any, path: str, default: Any = None) -> Any:
 
 
 def _spoilt(folder: Path, record: RunRecord) -> dict[str, list[str]]:
-    """{part: its files that were changed}; result.json has a separate entry."""
+    """{part: its changed files}; result.json has a separate entry."""
     states: dict[str, Any] = {name: record.part(name).files for name in record.parts}
     if record.result is not None:
         states[RESULT] = {RESULT: record.result}
@@ -220,7 +225,7 @@ def _spoilt(folder: Path, record: RunRecord) -> dict[str, list[str]]:
 
 
 def read_table(file: Path) -> dict[str, Any] | None:
-    """The object in a JSON file; None if it is not there or damaged."""
+    """The object in a JSON file; None if the file is missing or damaged."""
     try:
         data = json.loads(file.read_text(encoding="utf-8"))
     except (OSError, ValueError, RecursionError):
@@ -242,7 +247,7 @@ def _columns(file: Path) -> dict[str, list[str]]:
 
 
 def _number(cell: str) -> float | None:
-    """A number; a yes or no as 1 or 0; an empty cell as None."""
+    """A cell as a number: yes and no are 1 and 0, an empty cell is None."""
     if cell.strip().lower() in ("true", "false"):
         return float(cell.strip().lower() == "true")
     try:

@@ -1,4 +1,4 @@
-"""The sentence of a report about missing numbers."""
+"""The sentence in a report on missing numbers."""
 
 from collections.abc import Callable
 from functools import wraps
@@ -12,8 +12,8 @@ SectionFunction = Callable[[AnyFolder], Section]
 
 
 def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
-    """Why the numbers of a part are not in this run; `table`: the table of a case that asks for the
-    part."""
+    """The reason why the numbers of a part are not in this run; `table`: the table of a case that
+    requests the part."""
     state = run.parts.get(part)
     if state is None and run.left_out(part):
         return Missing(f"The part “{part}” is not among the `[report] parts`.")
@@ -28,7 +28,7 @@ def why_missing(run: RunFiles, part: str, table: str = "") -> Missing:
 
 
 def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
-    """The section; nothing if none of its parts was requested."""
+    """The section; an empty section if none of its parts was requested."""
 
     @wraps(section)
     def with_reason(run) -> Section:
@@ -40,7 +40,7 @@ def unless_left_out(section: SectionFunction, *parts: str) -> SectionFunction:
 
 
 def not_asked(run: RunFiles) -> list[Text]:
-    """A sentence on the parts that were not requested; none if all were."""
+    """A sentence on the parts that were not requested; none if all parts were."""
     names = [item for item in run.get(LEFT_OUT, []) if run.left_out(item)]
     if not names:
         return []

@@ -1,4 +1,5 @@
-"""The page of a report: sections of blocks, rendered into one file, and its PDF by a browser."""
+"""The page of a report: sections of blocks that are rendered into one file, and a PDF of it made by
+a browser."""
 
 import os
 import re
@@ -20,7 +21,7 @@ LONG = 22  # letters of a cell above which its column is kept from growing narro
 
 @dataclass(frozen=True)
 class Text:
-    """A paragraph; a caveat is set smaller and paler."""
+    """A paragraph; a caveat has a smaller and paler font."""
 
     kind: ClassVar[str] = "text"
     text: str
@@ -53,11 +54,11 @@ class Table:
 
     **Attributes:**
 
-    - `caption`: the subject of the table, for every reader; may be empty.
+    - `caption`: the subject of the table; may be empty.
     - `head`: (name, unit) of every column; empty for a table without a header.
     - `rows`: the cells as text; a cell may be a `Mark`.
     - `strong`: rows that are emphasised.
-    - `folded`: the text to click to show the table; in print the table is shown.
+    - `folded`: the text to click on to show the table, which is always shown in print.
     """
 
     kind: ClassVar[str] = "table"
@@ -77,7 +78,7 @@ class Table:
 
 @dataclass(frozen=True)
 class Mark:
-    """A verdict, never by colour only."""
+    """A verdict, shown by a sign and a text, not only by its colour."""
 
     good: bool
     text: str
@@ -95,7 +96,7 @@ class Facts:
 class Headline:
     """The main number of the report, with one sentence on it.
 
-    `context`: for comparison, such as a bound or the gain over another policy.
+    `context`: a comparison, such as a bound or the gain over another policy.
     """
 
     kind: ClassVar[str] = "headline"
@@ -113,7 +114,8 @@ class Headline:
 
 @dataclass(frozen=True)
 class Slider:
-    """An input that a reader may move by up to `span` `unit`; the value moves `slope` times it."""
+    """An input that a reader may move by up to `span`, in `unit`; the value changes by `slope`
+    times the move."""
 
     name: str
     unit: str
@@ -125,7 +127,8 @@ class Slider:
 
 @dataclass(frozen=True)
 class Sliders:
-    """Sliders over one value in `currency`, to first order; `groups` are (name, sliders)."""
+    """Sliders for the change of one value in `currency`, to first order; `groups` are (name,
+    sliders)."""
 
     kind: ClassVar[str] = "sliders"
     value: float
@@ -151,9 +154,9 @@ class Section:
 
 @dataclass(frozen=True)
 class Page:
-    """A whole report; `about` are (name, value) pairs under the title, `logo` the address of an
-    image without references to other files, `menu` the links in its navigation bar, (anchor,
-    text): by default one to every section."""
+    """A whole report; `about` are (name, value) pairs below the title, `logo` the address of an
+    image without references to other files, `menu` the links in its navigation bar, (anchor, text):
+    by default one to every section."""
 
     title: str
     about: Sequence[tuple[str, str]]
@@ -164,9 +167,8 @@ class Page:
 
 
 def render(page: Page) -> str:
-    """The page as HTML: with embedded styles, charts and scripts, text escaped.
-
-    A section without blocks is left out, and so is a column of a table that is empty throughout.
+    """The page as HTML with embedded styles, charts and scripts; text is escaped. Sections without
+    blocks and empty columns of tables are omitted.
     """
     from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
@@ -193,20 +195,21 @@ def render(page: Page) -> str:
 
 
 def coded(text: str) -> Markup:
-    """A text, escaped: text between backticks is set as code, and no line ends in ±."""
+    """An escaped text, in which text between backticks is set as code and no line ends in ±."""
     selected = str(escape(text)).replace("± ", f"±{SPACE}")
     return Markup(re.sub(r"`([^`]+)`", r"<code>\1</code>", selected))
 
 
 def classes(cell: Any, right: bool) -> Markup:
-    """The classes of a cell as an attribute: numbers to the `right`; room for a long text."""
+    """The classes of a cell as an attribute: for numbers aligned to the `right`, and for long
+    texts."""
     long = isinstance(cell, str) and len(cell) > LONG
     results = [name for name, so in (("n", right), ("long", long)) if so]
     return Markup(f' class="{" ".join(results)}"') if results else Markup("")
 
 
 def _filled(table: Table) -> Table:
-    """The table without columns that hold nothing, a header at most."""
+    """The table without columns that are empty below their header."""
     wide = max(map(len, table.rows), default=0)
     if not table.rows or any(
         len(row) != wide for row in (*table.rows, table.head or table.rows[0])
@@ -232,7 +235,7 @@ SECONDS = 120  # after which a browser is given up
 
 
 def browser() -> str | None:
-    """The path of a browser that can print without a window, or None."""
+    """The path of a browser that can print without a window; None if there is none."""
     by_name = os.environ.get(VARIABLE)
     names = (by_name,) if by_name else BROWSERS
     return next((path for name in names if (path := shutil.which(name))), None)
@@ -241,7 +244,7 @@ def browser() -> str | None:
 def print_page(page: Path, file: Path, browser: str) -> None:
     """Prints an HTML `page` to the PDF `file`; styles are those of the page for print.
 
-    The page is a file without external references, so nothing is sent.
+    The page is a file without external references, so nothing is sent over the network.
 
     **Raises:** `OSError` if the browser fails or takes too long.
     """
@@ -258,7 +261,7 @@ def print_page(page: Path, file: Path, browser: str) -> None:
         try:
             done = subprocess.run(command, capture_output=True, timeout=SECONDS, check=False)
         except subprocess.TimeoutExpired:
-            raise OSError(f"{browser} has not printed within {SECONDS} s") from None
+            raise OSError(f"{browser} has not printed the page within {SECONDS} s") from None
         if not made.exists() or not made.read_bytes().startswith(b"%PDF"):
             metadata = done.stderr.decode(errors="replace").strip().splitlines()
             raise OSError(

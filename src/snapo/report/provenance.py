@@ -1,4 +1,4 @@
-"""The origin of a report: its case with all inputs, the run that made it, and the run before."""
+"""The origin of a report: its case with all inputs, its run, and the previous run."""
 
 import csv
 import datetime
@@ -18,7 +18,8 @@ MAX_LETTERS = 200  # of a value
 
 
 def provenance(run: RunFiles, record: RunRecord, folder: Path) -> Section:
-    """The section on a run with this `record` (run.json) in `folder`; empty for an older run."""
+    """The section on a run with this `record` (run.json) in `folder`; empty if an older version
+    wrote the run."""
     if not isinstance(record.provenance, Mapping):
         return Section("provenance", "", "", [])
     blocks: list[Block] = [_making(run, record, folder), *_changes(run, record.origin)]
@@ -43,7 +44,7 @@ def _making(run: RunFiles, record: RunRecord, folder: Path) -> Table:
 
 
 def date(origin: RunOrigin) -> str:
-    """The day and the minute in which a run began, with its time zone."""
+    """The day and the minute in which a run began, with the time zone."""
     try:
         moment = datetime.datetime.fromisoformat(origin.began)
     except (TypeError, ValueError):
@@ -52,7 +53,7 @@ def date(origin: RunOrigin) -> str:
 
 
 def _changes(run: RunFiles, origin: RunOrigin) -> Iterator[Block]:
-    """The value and the settings next to those of the run before."""
+    """The value and the settings, compared with those of the previous run."""
     if not isinstance(origin.previous, Mapping):
         yield Text("There is no earlier run of this case to compare with.")
         return
@@ -65,7 +66,7 @@ def _changes(run: RunFiles, origin: RunOrigin) -> Iterator[Block]:
         (f"Value of {previous.run}", *measured(previous.value, old, digits)),
     ]
     if finite(change[0]) is not None:
-        name = "Difference, on the same paths" if previous.paired else "Difference"
+        name = "Difference on the same paths" if previous.paired else "Difference"
         rows.append((name, *measured(*change, digits, sign=True)))
     yield Table([], rows, "Changed since the previous run", 1)
     settings = [(str(x["name"]), _text(x["first"]), _text(x["second"])) for x in previous.changes]
@@ -77,7 +78,7 @@ def _changes(run: RunFiles, origin: RunOrigin) -> Iterator[Block]:
 
 
 def _inputs(record: RunRecord, folder: Path) -> Iterator[Block]:
-    """All keys of the case as they were used, and the files that it names."""
+    """All keys of the case with the values that were used, and the files that the case names."""
     case = record.settings.case
     rows = [(key, _text(value)) for key, value, _ in lines(case)]
     caption = f"All {len(rows)} keys of the case, with the changes of --set"
@@ -101,7 +102,7 @@ def _texts(value: Any) -> Iterator[str]:
 
 
 def _file(file: Path) -> Table:
-    """A CSV file of the case, cell by cell as it was read."""
+    """A CSV file of the case, with its cells as they were read."""
     text = file.read_text(encoding="utf-8-sig", errors="replace")
     rows_of_text = [line for line in text.splitlines() if line.strip() and line[0] != "#"]
     separator = next((x for x in ";\t" if rows_of_text and x in rows_of_text[0]), ",")

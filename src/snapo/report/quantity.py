@@ -1,4 +1,4 @@
-"""Numbers as a desk writes them: thousands separators, a true minus sign, a unit on every one."""
+"""Numbers as text for readers: with thousands separators, a proper minus sign and units."""
 
 import datetime
 import math
@@ -24,7 +24,7 @@ MONTHS = "January February March April May June July August September October No
 
 
 def finite(value: Any) -> float | None:
-    """The number as a float, or None if there is none or it is non-finite."""
+    """The number as a float; None if there is none or it is not finite."""
     if value is None or isinstance(value, str | bool):
         return None
     number = float(value)
@@ -32,8 +32,9 @@ def finite(value: Any) -> float | None:
 
 
 def decimals(values: Iterable[Any], significant: int = 5) -> int:
-    """The number of decimals, at least 0, with which the largest of `values` has that many
-    significant digits. A whole column has the same number, so that its decimal points are aligned.
+    """The number of decimals, at least 0, with which the largest of `values` has `digits`
+    significant digits. All numbers of a column have the same number of decimals, so that their
+    decimal points are aligned.
     """
     sizes = [abs(number) for value in values if (number := finite(value)) is not None]
     largest = max(sizes, default=0.0)
@@ -43,7 +44,8 @@ def decimals(values: Iterable[Any], significant: int = 5) -> int:
 
 
 def number(value: Any, digits: int | None = None, sign: bool = False) -> str:
-    """`-1234.5` as "−1,234.5"; `digits` decimals, or as many as four significant digits need.
+    """`-1234.5` as "−1,234.5"; it has `digits` decimals, by default as many as four significant
+    digits need.
 
     A number that would be mostly zeros is a power of ten: "1.578 × 10⁻⁶".
     """
@@ -65,7 +67,7 @@ def number(value: Any, digits: int | None = None, sign: bool = False) -> str:
 
 
 def quantity(value: Any, unit: str, digits: int | None = None, sign: bool = False) -> str:
-    """A number with its unit behind it; the space between them does not break."""
+    """A number with its unit after it; a line does not break between them."""
     text = number(value, digits, sign)
     return (
         text if text == NONE or not unit else f"{text}{SPACE}{unit_words(unit)}".replace(" ", SPACE)
@@ -79,7 +81,7 @@ def money(value: Any, currency: str, digits: int | None = None, sign: bool = Fal
 
 
 def plus_minus(error: Any, digits: int) -> str:
-    """Half of the 95 % interval, "± 41", from a standard error; nothing if there is none.
+    """Half of the 95 % interval, "± 41", from a standard error; "" if there is none.
 
     A number that `digits` decimals would round to zero keeps a digit: "± 0.00004".
     """
@@ -88,7 +90,7 @@ def plus_minus(error: Any, digits: int) -> str:
 
 
 def plus_minus_half(half: Any, digits: int) -> str:
-    """The same text from half of an interval."""
+    """The same text from the half-width of an interval."""
     available = finite(half)
     if available is None:
         return ""
@@ -101,7 +103,7 @@ def plus_minus_half(half: Any, digits: int) -> str:
 def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[str, str]:
     """A value and half of its 95 % interval, ("+0.00018", "± 0.00008"), from its standard error.
 
-    Both have `digits` decimals, or as many as the first digit of a smaller error needs; both are
+    Both have `digits` decimals, or more if the first digit of a smaller error needs more; both are
     powers of ten if they are very small. An error below the rounding of the value is omitted.
     """
     available, values = finite(error), finite(value)
@@ -116,7 +118,7 @@ def measured(value: Any, error: Any, digits: int, sign: bool = False) -> tuple[s
 
 
 def rough(value: Any) -> str:
-    """A number of which only the size matters: "9.1", "−616", "1.9 × 10⁻⁸"."""
+    """A number with few digits, for which only the size matters: "9.1", "−616", "1.9 × 10⁻⁸"."""
     available = finite(value)
     if available is None or available == 0:
         return number(available, 0)
@@ -128,7 +130,7 @@ def _tiny(value: float) -> bool:
 
 
 def _reached(error: float, digits: int) -> int:
-    """So many decimals, or more where they would show an error as nothing."""
+    """This number of decimals, or more if an error would otherwise be shown as 0."""
     return max(digits, decimals([error], 1)) if abs(error) < 0.5 * 10.0**-digits else digits
 
 
@@ -139,7 +141,7 @@ def percent(share: Any, digits: int = 1) -> str:
 
 
 def part_of(share: Any, digits: int = 2) -> str:
-    """A share in per cent, with a digit left where it would round to zero: "less than 0.01 %"."""
+    """A share in percent; a share that would round to zero is "less than 0.01 %"."""
     available = finite(share)
     minimum = 10.0 ** -(digits + 2)
     if available is None or available == 0 or abs(available) >= minimum / 2:
@@ -155,7 +157,8 @@ def unit_words(unit: str) -> str:
 
 
 def derivative_unit(value: str, unit: str) -> str:
-    """The unit of a derivative: that of a value per unit of an input, with common units cancelled.
+    """The unit of a derivative: the unit of the value per unit of an input, with common units
+    cancelled.
 
     >>> [derivative_unit("EUR", unit) for unit in ("EUR/MWh", "1", "MWh", "1/year", "EUR")]
     ['MWh', 'EUR', 'EUR/MWh', 'EUR·year', '1']
@@ -177,23 +180,23 @@ def derivative_unit(value: str, unit: str) -> str:
 
 
 def readable(name: str) -> str:
-    """A name of code as text: "cash_flow" as "Cash flow", "plant.mass" as "Plant mass"."""
+    """A name from the code as text: "cash_flow" as "Cash flow", "plant.mass" as "Plant mass"."""
     text = re.sub(r"\bmwh\b", "MWh", name.replace("_", " ").replace(".", " "))
     return text[:1].upper() + text[1:]
 
 
 def with_unit(name: str, unit: str) -> str:
-    """A name with its unit behind it: "Size, µm"; a number without a unit has none."""
+    """A name with its unit after it: "Size, µm"; the name alone if there is no unit."""
     return name if unit in ("", "1") else f"{name}, {unit_words(unit)}"
 
 
 def raised(text: str) -> str:
-    """Digits and minus signs, raised."""
+    """Digits and minus signs as superscripts."""
     return text.translate(str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"))
 
 
 def power(value: Any, decimal_places: int = 1) -> str:
-    """A size of error, small or large as a power of ten: "3.1 × 10⁻⁹"."""
+    """The size of an error; if it is very small or large, as a power of ten: "3.1 × 10⁻⁹"."""
     available = finite(value)
     if available is None or available == 0 or 1e-3 <= abs(available) < 1e4:
         return number(available)
@@ -212,7 +215,7 @@ def long_date(day: Any) -> str:
 
 
 def until(end: Any) -> str:
-    """The last day of a period that ends before `end`: `2022-04-01` as "31 March 2022"."""
+    """The last day of a period whose end, `end`, is excluded: `2022-04-01` as "31 March 2022"."""
     try:
         date = datetime.date.fromisoformat(str(end)[:10])
     except ValueError:
@@ -242,7 +245,8 @@ def seconds(value: Any) -> str:
 
 
 def array(values: Any) -> np.ndarray | None:
-    """A list of numbers as float64, its nulls as NaN; None if there is nothing to show."""
+    """A list of numbers as float64, in which nulls become NaN; None if there is no number to
+    show."""
     if values is None or len(values) == 0:
         return None
     numbers = np.array([math.nan if value is None else value for value in values], np.float64)

@@ -1,4 +1,4 @@
-"""run.json as typed records; a key that is missing, as in a run of an earlier version, is empty."""
+"""run.json as typed records; a missing key, as in a run of an earlier version, is empty."""
 
 from collections.abc import Mapping, Sequence
 from types import MappingProxyType
@@ -9,16 +9,16 @@ EMPTY: Mapping[str, Any] = MappingProxyType({})
 
 
 def entries_of(kind: type[Entries], table: Any) -> Entries:
-    """A named tuple of the entries that a table of JSON has; an empty one of anything else."""
+    """The named tuple with the entries of a JSON table; it is empty for data that is not a
+    table."""
     table = table if isinstance(table, Mapping) else EMPTY
     names: Sequence[str] = kind._fields  # pyright: ignore[reportAttributeAccessIssue]
     return kind(**{name: table[name] for name in names if name in table})
 
 
 class PartState(NamedTuple):
-    """The status of a part: "done", "failed" or "skipped", and the reason if it was not done.
-
-    - `seconds`: how long it took; `files`: {name: checksum} of the files that it wrote.
+    """The status of a part: "done", "failed" or "skipped", and the reason if the part was not done.
+    - `seconds`: its time in seconds; `files`: {name: checksum} of the files that the part wrote.
     """
 
     state: str = ""
@@ -28,7 +28,7 @@ class PartState(NamedTuple):
 
 
 class PreviousRun(NamedTuple):
-    """The run before: its name, value and standard error, and the settings that differ from it.
+    """The previous run: its name, value and standard error, and the settings that differ from it.
 
     - `difference`, `difference_error`: the difference of the values and its error; `paired`:
       whether both are on the same paths.
@@ -46,7 +46,7 @@ class PreviousRun(NamedTuple):
 class RunOrigin(NamedTuple):
     """The origin of a run.
 
-    - `run`: its name; `began`, `began_utc`: when it began, ISO 8601.
+    - `run`: its name; `began`, `began_utc`: the time at which it began, in ISO 8601.
     - `case`: folder and file of the case; `sha256`: the hash of the file; `assignments`: the
       assignments of `--set`.
     - `previous`: the previous run, read with `PreviousRun`; None if there is none.
@@ -80,14 +80,15 @@ class PageTexts(NamedTuple):
 
 
 class LibraryVersions(NamedTuple):
-    """The versions of snapo and of Python; those of further libraries are in the table."""
+    """The versions of snapo and Python; the table also has the versions of other libraries."""
 
     snapo: str = ""
     python: str = ""
 
 
 class RunSettings(NamedTuple):
-    """The settings that decide a run: its case, the options of the command, and versions."""
+    """The settings that determine the numbers of a run: its case, the options of the command, and
+    versions."""
 
     case: Mapping[str, Any] = EMPTY
     options: Mapping[str, Any] = EMPTY
@@ -97,8 +98,9 @@ class RunSettings(NamedTuple):
 class RunRecord(NamedTuple):
     """The tables of run.json.
 
-    - `about`: the description of the study; `parts`: {name: state}, each read with `PartState`.
-    - `beside`: seconds of work outside parts, by name; `result`: the checksum of result.json.
+    - `about`: the description of the study; `parts`: {name: state}; read a state with `PartState`.
+    - `beside`: the time of work outside of the parts, in seconds, by name; `result`: the checksum
+      of result.json.
     """
 
     kind: str | None = None

@@ -1,7 +1,7 @@
-"""Tables and ladders of records: the type of a value decides how it is written.
+"""Tables and bar charts of records; the type of a value determines its format.
 
-A text is set to the left, a number to the right with as many decimals as its column needs, a number
-with a standard error with this error next to it, and a truth value as a mark.
+Texts are aligned to the left, and numbers to the right with as many decimals as their column needs.
+A number with a standard error has its half-width next to it, and a boolean is a mark.
 """
 
 from collections.abc import Callable, Sequence
@@ -14,8 +14,8 @@ from .quantity import decimals, measured, number
 
 
 class WithError(NamedTuple):
-    """A number and its standard error, None if it has none: ± is followed by half of its 95 %
-    interval."""
+    """A number and its standard error (None if it has none), from which half of the 95 % interval
+    is written after ±."""
 
     value: float | None
     error: float | None = None
@@ -37,14 +37,13 @@ class Column(NamedTuple):
     decimal_places: int | None = None
 
     def values(self, records: Sequence[Any]) -> list[Any]:
-        """The values of the column, one for each record."""
+        """The values of the column for all records."""
         of = self.of
         return [of(record) if callable(of) else getattr(record, of) for record in records]
 
     def cells(self, values: Sequence[Any], by_row: Sequence[int] | None) -> list[tuple[Any, ...]]:
-        """The cells of each row: two for a number with an error, one for anything else.
-
-        `by_row`: decimals by row; None: those of the column.
+        """The cells of each row: two cells for a number with an error, else one. `by_row`: the
+        decimals of each row; None means those of the column.
         """
         if all(isinstance(x, str) for x in values):
             return [(x,) for x in values]
@@ -70,8 +69,8 @@ def table(
 ) -> Table:
     """A table with a row for each record.
 
-    - `decimal_places`: decimals of all its numbers; `by_row`: whether decimals differ between rows.
-    - `folded`: the text to click to show the table.
+    - `decimal_places`: the decimals of all numbers; `by_row`: whether decimals differ between rows.
+      - `folded`: the text to click on to show the table.
     """
     values = [column.values(records) for column in columns]
     all_places = None if decimal_places is None else [decimal_places] * len(records)
@@ -93,7 +92,7 @@ def _numbers(row: Sequence[Any]) -> list[Any]:
 
 
 class Bar(NamedTuple):
-    """A bar of a ladder; a `strong` one is set apart."""
+    """A bar of a ladder chart; `strong`: whether it is emphasised."""
 
     name: str
     value: float
@@ -102,7 +101,8 @@ class Bar(NamedTuple):
 
 
 def ladder(anchor: str, bars: Sequence[Bar], caption: str, digits: int | None = None) -> Chart:
-    """Horizontal bars with their numbers, the first on top, with their description."""
+    """A ladder chart: horizontal bars with their numbers, the first on top, and a description of
+    them."""
     digits = decimals([bar.value for bar in bars], 5) if digits is None else digits
     rows = [
         charts.LadderBar(bar.name, bar.value, number(bar.value, digits), bar.error, bar.strong)

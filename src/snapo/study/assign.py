@@ -13,9 +13,9 @@ OPTION = "--set"
 
 
 def assigned(data: Mapping[str, Any], assignments: Iterable[str]) -> tuple[dict, set[str]]:
-    """A copy of the tables of a case with each "path=value" assigned, and the list of paths. A path
-    consists of keys; an element of an array is identified by its number from 0, or by its `name`. A
-    value is written as in TOML. The domain decides whether a new key is allowed.
+    """A copy of the tables of a case in which every "path=value" is assigned, and the list of
+    paths. A path consists of keys; an element of an array is identified by its number from 0, or by
+    its `name`. A value is written as in TOML. The domain decides whether a new key is allowed.
 
     **Raises:** `CaseError` for a path that does not exist, and for a value that is not TOML.
     """
@@ -31,7 +31,7 @@ def _parsed(text: str) -> tuple[str, Any]:
     """The path and the value of one assignment."""
     path, sign, written = (part.strip() for part in text.partition("="))
     if not sign or not path or "" in path.split("."):
-        message = "write it like contract.inventory=2000: a key of the case, =, and a value"
+        message = "write an assignment as KEY=VALUE, such as contract.inventory=2000"
         raise CaseError(OPTION, "", text, message)
     try:
         data = tomllib.loads(f"value = {written}")
@@ -40,17 +40,17 @@ def _parsed(text: str) -> tuple[str, Any]:
     if path.count(".") >= DEEPEST or is_deep(data):
         raise CaseError(OPTION, "", path, TOO_DEEP)
     if list(data) != ["value"]:
-        message = "this is not a value as TOML writes it: 2000, 0.5, true, 2027-04-01, [1, 2]"
+        message = "this is not a valid value in TOML: 2000, 0.5, true, 2027-04-01, [1, 2]"
         if moment := impossible_moment(written):
             raise CaseError(OPTION, path, Unquoted(moment[0]), moment[1])
         if written and not set(written) & set("\"'\n[]{}"):
-            message = f"text needs quotation marks; in a shell: {OPTION} '{path}=\"{written}\"'"
+            message = f"a text needs quotation marks; in a shell: {OPTION} '{path}=\"{written}\"'"
         raise CaseError(OPTION, path, Unquoted(written or "nothing"), message)
     return path, data["value"]
 
 
 def _put(data: dict[str, Any], path: str, value: Any) -> None:
-    """Sets one key; tables that are not there are made on the way."""
+    """Sets one key, and creates missing tables."""
     *key_path, last = path.split(".")
     position: Any = data
     for i, key in enumerate(key_path):
@@ -88,7 +88,7 @@ def key_as_in(data: Mapping[str, Any], key: str) -> str:
 
 
 def _index(position: dict | list, key: str, path: str) -> Any:
-    """The key of a table; of an array the number of the element that `key` means."""
+    """The key of a table, or the number of the element of an array that `key` identifies."""
     if isinstance(position, dict):
         return key
     names = [item.get("name") if isinstance(item, dict) else None for item in position]
@@ -96,7 +96,7 @@ def _index(position: dict | list, key: str, path: str) -> Any:
         return names.index(key)
     if key.isascii() and key.isdigit() and int(key) < len(position):
         return int(key)
-    numbers = f"the array has {len(position)} elements, numbered from 0"
+    numbers = f"the array has {len(position)} elements, which are numbered from 0"
     available = [str(name) for name in names if name is not None]
     message = f"{numbers}; {nearest(key, available)}" if available else numbers
     raise CaseError(OPTION, path, Unquoted(f"element {key}"), message)

@@ -1,4 +1,4 @@
-"""Runs a study into a folder, part by part and resumable, and writes its report."""
+"""Runs a study into a folder, part by part so that it can be resumed, and writes its report."""
 
 import json
 import time
@@ -38,8 +38,8 @@ def write_report(domain: Domain, folder: Path) -> Path:
 
 
 def page_of(domain: Domain, folder: Path) -> str:
-    """The report of a run folder as HTML. If a file or a key is missing, the section reports this.
-    The same files give the same page, byte for byte.
+    """The report of a run folder as HTML. If a file or a key is missing, the section says so. The
+    same files give the same page, byte for byte.
     """
     summary = domain.report()
     run = summary.folder.read(folder)
@@ -68,7 +68,7 @@ def page_of(domain: Domain, folder: Path) -> str:
 
 
 def _logo(folder: Path, name: str | None) -> str:
-    """The picture that the case names, from its copy; nothing if it is gone."""
+    """The picture that the case names, from the copy of the case; "" if the picture is gone."""
     try:
         return logo(folder / run_folder.CASE, name) if name else ""
     except (OSError, ValueError):
@@ -100,12 +100,11 @@ def carry_out(
     adjacent: Mapping[str, float] | None = None,
     origin: Mapping[str, Any] | None = None,
 ) -> dict[str, Any]:
-    """Does the parts of a study one after another; returns the content of result.json.
-
-    `preparing`: the seconds that reading the case and making the study took; `adjacent`: the
-    seconds of other work for this run, by name; `origin`: the origin of a new run, for its report.
-    A part that fails leaves a note and a status; parts that need it are skipped. On Ctrl-C the
-    completed parts and the best policy so far are reported, and `Interrupted`, a
+    """Computes the parts of a study one after another; returns the content of result.json.
+    `preparing`: the time, in seconds, of reading the case and making the study; `adjacent`: the
+    time of other work for this run, in seconds, by name; `origin`: the origin of a new run, for its
+    report. A part that fails gets a note and a status; parts that need it are skipped. On Ctrl-C
+    the completed parts and the best policy so far are reported, and `Interrupted`, a
     `KeyboardInterrupt`, has the content of result.json.
     """
     record = run_folder.start(out, study.kind, decides, resume)
@@ -128,7 +127,8 @@ def carry_out(
 
 
 def _finish(writer: "_Writer") -> dict[str, Any]:
-    """Writes a run that ends, and says where `run` points if it points elsewhere."""
+    """Writes a run that has ended, and reports where `run` points if it does not point to
+    this run."""
     _keep(writer.run, writer.record)
     add_difference(writer.record, writer.run.folder)
     result, run = writer.write(), writer.run
@@ -136,7 +136,8 @@ def _finish(writer: "_Writer") -> dict[str, Any]:
     def point() -> None:
         if home_of(run.folder) is not None and not point_to(run.folder):
             run.progress(
-                f"`run` still points to an earlier run; the status of this one: {result['status']}"
+                "`run` still points to an earlier run, because of the status of this run: "
+                f"{result['status']}"
             )
 
     _guarded(run, point)
@@ -151,10 +152,10 @@ def certify(
     paths: int,
     penalty: Penalty,
 ) -> dict[str, Any]:
-    """The bounds of a run that was carried out, saved with it; returns the new content of its
+    """Computes the bounds of a finished run and saves them in it; returns the new content of its
     result.json.
 
-    **Raises:** `CaseError` if the study has no bound, or the run no policy.
+    **Raises:** `CaseError` if the study has no bound, or the run has no policy.
     """
     if isinstance(study.relaxation, str):
         raise CaseError(str(out), "", None, f"this run cannot be certified: {study.relaxation}")
@@ -174,7 +175,7 @@ def certify(
 
 
 def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
-    """One part: read from its file when it was done before, else worked out and kept."""
+    """Computes and saves one part; if the part was done before, it is read from its file."""
     states = record["parts"]
     typed = entries_of(RunRecord, record)
     if typed.part(part.name).state == DONE:
@@ -204,7 +205,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
                 raise
             tables, state["state"] = stop.result, INTERRUPTED
         if twice := set(tables) & set(run.results):
-            raise ValueError(f"another part gives {sorted(twice)} already")
+            raise ValueError(f"another part has already written {sorted(twice)}")
         run.results |= run_folder.write_part(run.folder, part, tables)
         state["files"] = written_since(run.folder, before, NOT_OF_A_PART)
         for other in states.values():  # a file is that of the part that wrote it last
@@ -222,7 +223,7 @@ def _do(part: Part, run: StudyRun, record: dict[str, Any]) -> None:
 
 
 def _words(error: Exception) -> str:
-    """An exception in one line; an error of the disk with its file."""
+    """An exception as one line; a disk error names its file."""
     if isinstance(error, OSError) and error.strerror:
         return f"could not write {error.filename or ''}: {error.strerror}"
     text = (str(error).strip().splitlines() or [""])[0]
@@ -230,7 +231,7 @@ def _words(error: Exception) -> str:
 
 
 def _guarded(run: StudyRun, write) -> None:
-    """Writes; an error of the disk is noted in the status, and the run is not lost."""
+    """Writes a file; a disk error is noted in the status, and the run continues."""
     try:
         write()
     except OSError as error:
@@ -239,7 +240,8 @@ def _guarded(run: StudyRun, write) -> None:
 
 
 class _Writer:
-    """Writes result and report after the parts, but not so often that writing takes the time."""
+    """Writes result and report after the parts, but not so often that writing takes too much
+    time."""
 
     def __init__(self, domain: Domain, run: StudyRun, record: dict[str, Any]):
         self.domain, self.run, self.record = domain, run, record
@@ -247,12 +249,12 @@ class _Writer:
         self.took = 0.0
 
     def part_done(self) -> None:
-        """Writes where the last time is long enough ago."""
+        """Writes if the last writing is long enough ago."""
         if time.perf_counter() - self.last > max(OFTEN * self.took, MINIMUM):
             self.write()
 
     def write(self) -> dict[str, Any]:
-        """Result and report of the run so far."""
+        """Writes the result and the report of the run so far."""
         started, run = time.perf_counter(), self.run
         _keep(run, self.record)
         _guarded(run, lambda: write_report(self.domain, run.folder))
@@ -267,7 +269,7 @@ class _Writer:
 
 
 def _spend(record: dict[str, Any], name: str, seconds: float) -> None:
-    """Adds to the time that a run took outside its parts, in this session and in earlier ones."""
+    """Adds to the time that a run took outside of its parts, in this and in earlier sessions."""
     adjacent = record.setdefault("beside", {})
     adjacent[name] = adjacent.get(name, 0.0) + seconds
 
@@ -283,13 +285,11 @@ def _keep(run: StudyRun, record: dict[str, Any]) -> dict[str, Any]:
 
 
 def outcome(run: StudyRun, record: Mapping[str, Any]) -> dict[str, Any]:
-    """The content of result.json: the study's result, and the state of its parts.
-
-    The last entries of "notes" are those on the case itself, which were known before the run.
-
-    "seconds" has the time of every part and of preparing the case, with the sum as "total"; the
-    time of writing reports, which the page itself cannot contain; and the stages of the training,
-    whose times are part of the time of the training.
+    """The content of result.json: the study's result, and the state of its parts. The last entries
+    of "notes" are about the case and were written before the run. "seconds" has the time of every
+    part and of preparing the case, with their sum as "total". It also has the time of writing
+    reports, which the page cannot contain, and the times of the stages of training, which are
+    included in the time of training.
     """
     states = record["parts"]
     result = {"kind": run.study.kind, **run.study.result(run)}

@@ -3,8 +3,8 @@
     BASELINES = Chapter("baselines", "Classical rules", Baselines, measure, show)
 
 `BASELINES.part` is a part of a study, and `BASELINES` a section of its report. `measure` returns a
-frozen dataclass, which is saved as JSON and read back as the same type: a reader writes
-`BASELINES.of(run).optimum`, and a misspelt name is an error of the type checker.
+frozen dataclass, which is saved as JSON and read back as the same type. Other code reads
+`BASELINES.of(run).optimum`, so a type checker finds a misspelt name.
 """
 
 import re
@@ -39,15 +39,17 @@ class Chapter(Generic[Result]):
 
     - `name`: the name of its part, its file and the anchor of its section.
     - `title`: the title of the section, or a function of the files of the run; `short`: its text in
-      the menu, by default the name; `anchor`: if it differs from the name.
-    - `result`: a frozen dataclass of `Number`, `Floats`, texts and such dataclasses; under a `key`
-      also `tuple[Row, ...]` of them.
-    - `measure`: takes the run; `show`: takes the files of the run and the result, returns blocks.
-    - `needs`: names of the parts that must be done before.
-    - `key`: the key of the result in the file of the part; with "" the fields are keys of the file.
-    - `table`: a table of the case; without this table the study does not have the part.
-    - `optional`: whether a run without the part has no section on it; otherwise the section gives
-      the reason.
+      the menu, by default the name; `anchor`: the anchor, if it differs from the name.
+    - `result`: a frozen dataclass of `Number`, `Floats`, texts and other such dataclasses; with a
+      `key`, also a `tuple[Row, ...]` of them.
+    - `measure`: takes the run; `show`: takes the files of the run and the result, and returns
+      blocks.
+    - `needs`: names of the parts that must be done first.
+    - `key`: the key of the result in the file of the part; with "" the fields of the result are
+      keys of the file.
+    - `table`: a table of the case; the study has the part only if the case has this table.
+    - `optional`: whether the section is omitted if a run does not have the part; otherwise the
+      section gives the reason.
 
     No two chapters of a study may write the same key.
     """
@@ -66,11 +68,11 @@ class Chapter(Generic[Result]):
 
     @property
     def part(self) -> Part:
-        """Its part of a study."""
+        """The part of a study for this chapter."""
         return Part(self.name, lambda run: self.data(self.measure(run)), self.needs)
 
     def data(self, result: Result) -> dict[str, Any]:
-        """The result by the keys of the file of the part, arrays unchanged."""
+        """The result by the keys in the file of the part; arrays are unchanged."""
         plain: Any = asdict  # of a type that is a dataclass, which no type variable can express
         if isinstance(result, tuple):
             return {self.key: [plain(record) for record in result]}
@@ -104,7 +106,7 @@ class Chapter(Generic[Result]):
         return replace(self, anchor=anchor, title=title, short=short, show=show)
 
     def __call__(self, run: RunFiles) -> Section:
-        """Its section of the report; without a result, the reason."""
+        """The section of the report; if there is no result, the section gives the reason."""
         anchor = self.anchor or re.sub(r"\W", "-", self.name)
         short = self.short or self.name.capitalize()
         if run.left_out(self.name) or (self.optional and self.name not in run.parts):
@@ -118,7 +120,7 @@ class Chapter(Generic[Result]):
 
     @cached_property
     def _defaults(self) -> dict[str, bool]:
-        """{name of a field: whether it has a default, for a key that is not there}."""
+        """{name of a field: whether it has a default, which is used for a missing key}."""
         names = fields(self.result)  # pyright: ignore[reportArgumentType]
         return {x.name: (x.default, x.default_factory) != (MISSING, MISSING) for x in names}
 

@@ -1,4 +1,5 @@
-"""The work of every command, the same for all domains; the command line only prints it."""
+"""The functions of all commands, which are common to all domains; the command line only prints
+their results."""
 
 import time
 from collections.abc import Mapping, Sequence
@@ -61,8 +62,8 @@ def new_workbook(kind: str, folder: Path, size: str | None = None) -> list[Path]
 def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
     """Writes the commented example of a kind into `folder`; returns the files written.
 
-    **Raises:** `CaseError` if there is no such kind or size, the folder cannot be used, or a
-    file of the same name is there already; then nothing is written.
+    **Raises:** `CaseError` if there is no such kind or size, the folder cannot be used, or it
+    already has a file of the same name; then nothing is written.
     """
     templates = find(kind, "KIND", "").templates
     sizes = list(templates)
@@ -86,7 +87,7 @@ def new(kind: str, folder: Path, size: str | None = None) -> list[Path]:
 
 
 def next_command(kind: str, folder: Path) -> str:
-    """The command to run after an example was written."""
+    """The command to run after an example has been written."""
     domain = find(kind, "KIND", "")
     code = f" --simulator {domain.example}" if isinstance(domain, RunsCode) else ""
     return f"snapo check {folder}{code}"
@@ -114,15 +115,15 @@ def solve(
     hedge: bool = False,
     gamma: bool = False,
 ) -> dict[str, Any]:
-    """Carries out the study of a case into the folder `out`, by default a new one in `runs` next
-    to the case; `run` points to the latest of them.
+    """Carries out the study of a case into the folder `out`, by default a new folder in `runs` next
+    to the case; the link `run` points to the latest run.
 
     `policy`: a run folder, or the file of a policy, with which training begins. `seeds`: the number
-    of trainings, from the seed of the case on, or the seeds themselves; the run is that of the
-    best. `workers`: compute groups of the paths of a large problem, with bit-identical results.
-    `ladder`: also value the contract by all methods. `hedge`: simulate its hedges. `gamma`: measure
-    it by product. Returns the content of result.json. On Ctrl-C the parts that are done are
-    reported, and `KeyboardInterrupt` is passed on to the caller.
+    of consecutive seeds from the seed of the case on, or the seeds themselves; the run is that of
+    the best seed. `workers`: compute groups of the paths of a large problem, with bit-identical
+    results. `ladder`: also value the contract by all methods. `hedge`: simulate its hedges.
+    `gamma`: measure the gamma by product. Returns the content of result.json. On Ctrl-C the
+    completed parts are reported, and `KeyboardInterrupt` is passed on to the caller.
 
     **Raises:** `CaseError` if the case has a mistake, or the policy does not fit it.
     """
@@ -157,7 +158,8 @@ def certify(
 ) -> dict[str, Any]:
     """Bounds the value of a run from both sides; returns the new content of its result.json.
 
-    **Raises:** `CaseError` if there is no such run, or nothing bounds its value, with the reason.
+    **Raises:** `CaseError` if there is no such run, or if its value cannot be bounded, with the
+    reason.
     """
     from . import run_folder
     from .prepare import case_of_run, options_of_run, use_every_core
@@ -180,7 +182,7 @@ def domain_of_run(
 ) -> Domain:
     """The domain of a run, with the simulator that the command line names again.
 
-    **Raises:** `CaseError` if the run's simulator is code of its user, and is not named.
+    **Raises:** `CaseError` if the run's simulator is the user's code, and `simulator` is None.
     """
     from snapo.report.record import RunRecord, entries_of
 
@@ -189,7 +191,7 @@ def domain_of_run(
     domain = find(record["kind"], str(run / run_folder.RUN))
     code = entries_of(RunRecord, record).settings.options.get("simulator")
     if simulator is None and code:
-        message = f"the run's simulator is code of its user; name it again: --simulator {code}"
+        message = f"the run's simulator is the user's code; name it again: --simulator {code}"
         raise CaseError(str(run), "", None, message)
     if simulator is not None and isinstance(domain, RunsCode):
         return domain.with_simulator(*simulator)
@@ -197,7 +199,8 @@ def domain_of_run(
 
 
 def report(run: Path) -> Path:
-    """Writes the report of a run again, from the files of its folder; returns its path."""
+    """Writes the report of a run again from the files in its folder; returns the path of the
+    report."""
     from . import run_folder
     from .carry_out import write_report
 
@@ -211,9 +214,9 @@ def report(run: Path) -> Path:
 
 
 def printed(run: Path) -> Path:
-    """Prints the report of a run as a PDF next to it; returns its path.
+    """Prints the report of a run to a PDF next to the report; returns the path of the PDF.
 
-    **Raises:** `CaseError` if no browser of this machine can print it.
+    **Raises:** `CaseError` if no browser on this machine can print the report.
     """
     from snapo.report.page import BROWSERS, VARIABLE, browser, print_page
 
@@ -222,7 +225,9 @@ def printed(run: Path) -> Path:
     result, file = browser(), run / run_folder.PDF
     if result is None:
         names = ", ".join(BROWSERS[:3])
-        message = f"no browser was found that can print it ({names}); {VARIABLE} may name one"
+        message = (
+            f"no browser was found that can print the report ({names}); {VARIABLE} may name one"
+        )
         raise CaseError("--pdf", "", None, message)
     try:
         print_page(run / run_folder.REPORT, file, result)
@@ -232,7 +237,8 @@ def printed(run: Path) -> Path:
 
 
 def tables(run: Path) -> Path:
-    """Writes the tables of a run as a workbook next to its report; returns its path.
+    """Writes the tables of a run to a workbook next to its report; returns the path of the
+    workbook.
 
     **Raises:** `CaseError` if openpyxl is missing, or the folder cannot be written.
     """
@@ -250,9 +256,9 @@ def tables(run: Path) -> Path:
 
 
 def bench(kind: str | None, engine: str, progress: "ProgressCallback") -> dict[str, str]:
-    """{kind: table of times} of one kind, or of all that can be timed.
+    """{kind: table of times} for one kind, or for all kinds that can be timed.
 
-    **Raises:** `CaseError` if the requested kind has nothing to time.
+    **Raises:** `CaseError` if nothing can be timed for the requested kind.
     """
     from .prepare import use_every_core
 

@@ -1,4 +1,4 @@
-"""Runs of one kind side by side: values, settings, and sensitivities that differ."""
+"""Compares runs of one kind: values, settings, and sensitivities that differ."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -24,11 +24,11 @@ SHARE = 0.01  # of an input: by so much it is moved where it does not say its `m
 
 
 class DerivativePair(NamedTuple):
-    """The reported derivative in both runs, per one `unit` of the input.
+    """The reported derivative in both runs, per `unit` of the input.
 
-    - `standard_error`: the standard error of the difference, from sampling; `policy`: by how much
-      the errors of both policies may move it.
-    - `sources`: the source of each derivative (`Sensitivities.source`).
+    - `standard_error`: the standard error of the difference, from sampling; `policy`: the largest
+      change of the difference due to the errors of both policies.
+    - `sources`: the sources of the two derivatives (`Sensitivities.source`).
     - `effect`: the difference of the effects of the input's standard move on the two values.
     """
 
@@ -46,14 +46,15 @@ class DerivativePair(NamedTuple):
 
 @dataclass(frozen=True)
 class Comparison:
-    """The differences of the second run from the first.
+    """The second run compared with the first.
 
-    - `values`, `errors`: values of the two runs and their errors; None if a run has no value.
+    - `values`, `errors`: the values of the two runs and their standard errors; None if a run has no
+      value.
     - `difference`, `standard_error`: second minus first, and its error; `paired`: whether both are
       on the same scenarios.
     - `why`: a clause on why the runs are paired or not.
-    - `settings`: all settings that affect the numbers and differ.
-    - `sensitivities`: the sensitivities that both runs have, the largest differences first.
+    - `settings`: all settings that affect the numbers and are different.
+    - `sensitivities`: the sensitivities that both runs have, with the largest differences first.
     """
 
     kind: str
@@ -100,9 +101,9 @@ class Comparison:
 
     def _sensitivities(self) -> Iterator[str]:
         if not self.sensitivities:
-            yield "all sensitivities that are known in both runs are equal"
+            yield "all sensitivities that both runs have are equal"
             return
-        yield "sensitivities that differ most (first, second, difference, error of the policies):"
+        yield "largest differences of sensitivities (first, second, difference, policy error):"
         for sensitivity in self.sensitivities[:MAXIMUM]:
             name = f"{sensitivity.input} {sensitivity.label}".strip()
             numbers = f"{_figure(sensitivity.first):>14}{_figure(sensitivity.second):>14}"
@@ -114,20 +115,22 @@ class Comparison:
 
 
 def compare(first: Path, second: Path) -> Comparison:
-    """The second run against the first.
-
-    **Raises:** `CaseError` if one is not a run of this version, or their kinds differ.
+    """Compares the second run with the first. **Raises:** `CaseError` if one is not a run of this
+    version, or if their kinds differ.
     """
     records = [run_folder.read(run) for run in (first, second)]
     kinds = [record["kind"] for record in records]
     if kinds[0] != kinds[1]:
-        message = f'{first} is a run of kind "{kinds[0]}"; only runs of one kind can be compared'
+        message = (
+            f'{first} is a run of kind "{kinds[0]}"; only runs of the same kind can be compared'
+        )
         raise CaseError(str(second), "kind", kinds[1], message)
     for run, record in zip((first, second), records, strict=True):
         run_folder.check_whole(run, record, (GROUPS, SOLUTION, POLICY, HALFWAY))
         if changed_files(run, {run_folder.RESULT: record["result"]} if "result" in record else {}):
             message = (
-                "this file was changed or damaged since it was written: solve with --resume again"
+                "this file was changed or damaged since it was written; run snapo solve again "
+                "with --resume"
             )
             raise CaseError(str(run / run_folder.RESULT), "", None, message)
     results = [_result(run) for run in (first, second)]
@@ -152,12 +155,13 @@ def compare(first: Path, second: Path) -> Comparison:
 
 
 class Comparisons(NamedTuple):
-    """Three or more runs: the differences of each from the first."""
+    """Three or more runs: the differences of every other run from the first."""
 
     pairs: tuple[Comparison, ...]
 
     def table(self) -> dict[str, Any]:
-        """The comparison as plain data; "comparisons": of each other run with the first."""
+        """The comparison as plain data; "comparisons" has one entry for every run after the
+        first."""
         first, *others = [pair.table() for pair in self.pairs]
         every = [first, *others]
         columns = {name: [first[name][0]] for name in ("runs", "values", "standard_errors")}
@@ -192,15 +196,14 @@ class Comparisons(NamedTuple):
                 yield f"  {name}: {', '.join(map(in_words, values))}"
 
     def _sensitivities(self) -> Iterator[str]:
-        """The sensitivities that differ most in any of the runs; what no pair has differs in
-        none."""
+        """The sensitivities with the largest differences in any pair of runs."""
         table: dict[tuple[str, str], dict[int, DerivativePair]] = {}
         for position, pair in enumerate(self.pairs):
             for item in pair.sensitivities:
                 table.setdefault((item.input, item.label), {})[position] = item
         ranked = sorted(table.items(), key=lambda x: -max(abs(y.effect) for y in x[1].values()))
-        head = "sensitivities that differ most (-: the same, or not known in both runs):"
-        yield head if ranked else "all sensitivities that are known in both runs are equal"
+        head = "largest differences of sensitivities (-: equal, or missing in one of the runs):"
+        yield head if ranked else "all sensitivities that both runs have are equal"
         for (name, label), items in ranked[:MAXIMUM]:
             one = next(iter(items.values()))
             values = [items[i].second if i in items else None for i in range(len(self.pairs))]
@@ -215,12 +218,11 @@ def _line(number: int, value: Sequence[float | None], change: Sequence[float | N
 
 
 def compare_all(runs: Sequence[Path]) -> Comparison | Comparisons:
-    """The second run against the first, or each of several others against it.
-
-    **Raises:** `CaseError` as `compare` does, and for a single run.
+    """Compares the second run, or every further run, with the first. **Raises:** `CaseError` as in
+    `compare`, and for a single run.
     """
     if len(runs) < 2:
-        message = "name two runs or more; `snapo runs CASE` lists those of a case"
+        message = "name two runs or more; `snapo runs CASE` lists the runs of a case"
         raise CaseError("RUN", "", str(runs[0]), message)
     pairs = tuple(compare(runs[0], other) for other in runs[1:])
     return pairs[0] if len(pairs) == 1 else Comparisons(pairs)
@@ -252,11 +254,11 @@ def _result(run: Path) -> RunResult:
 
 
 def _groups(first: Path, second: Path) -> tuple[np.ndarray | None, str]:
-    """Differences between the values of each group of paths, where the scenarios are the same."""
+    """The differences between the values of every group of paths, if the scenarios are the same."""
     try:
         results = [solution_file.load_named(run / GROUPS) for run in (first, second)]
     except solution_file.CheckpointError:
-        return None, "independent: one of the runs has no values by group of paths"
+        return None, "independent: one of the runs has no values for groups of paths"
     (one, ours), (other, theirs) = results
     for key, text in (("source", "scenarios"), ("noise", "noise"), ("paths", "numbers of paths")):
         if ours[key] != theirs[key]:
@@ -274,8 +276,8 @@ def _difference_error(groups: np.ndarray | None, errors: list[float | None]) -> 
 
 
 def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePair]:
-    """Reported derivatives that differ, by the difference that they make for the input's move.
-    Those that are unknown in one of the runs are left out."""
+    """Reported derivatives that differ, sorted by the difference in the effect of the input's
+    standard move. Derivatives that are missing in one of the runs are omitted."""
     try:
         one, other = (solution_file.sensitivities_in(run / SOLUTION) for run in (first, second))
     except solution_file.CheckpointError:
@@ -292,7 +294,7 @@ def _sensitivities(first: Path, second: Path, paired: bool) -> list[DerivativePa
 def _of_input(
     inputs, name: str, first: Reported, second: Reported, paired: bool
 ) -> list[DerivativePair]:
-    """One input, entry by entry; nothing if it has another shape in the other run."""
+    """The pairs of one input, entry by entry; nothing if the shapes of the input differ."""
     one, other = first.estimate, second.estimate
     if first.value.shape != second.value.shape:
         return []

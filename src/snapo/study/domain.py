@@ -1,8 +1,8 @@
-"""A domain, which turns a file in its user's terms into a study; and a case that it has read.
+"""A domain, which turns a user's file into a study, and a case that the domain has read.
 
 Domains of this and other packages are found by the entry-point group `snapo.domains`. An entry
-point names an object with the attributes of `Domain`; its module imports nothing heavy, so that
-`snapo new` answers at once.
+point names an object with the attributes of `Domain`; its module imports no large packages, so that
+`snapo new` answers immediately.
 """
 
 from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
@@ -32,10 +32,10 @@ class Options(NamedTuple):
     """The options of a command other than the case.
 
     - `engine`: "auto", "xla" or "native".
-    - `reference`: compute the exact references as well, however long they take.
-    - `about`: the `about` of an earlier run of the same case, which passed the checks; else None.
-    - `ladder`: value the contract by all methods, on common paths; `hedge`: simulate its hedges;
-      `gamma`: measure the change of deltas with prices, by product.
+    - `reference`: whether to compute exact values as well, however long this takes.
+    - `about`: the `about` of an earlier run of the same case that passed the checks, or None.
+    - `ladder`: whether to value the contract by all methods, on common paths; `hedge`: whether to
+      simulate its hedges; `gamma`: whether to measure the change of deltas with prices, by product.
     """
 
     engine: str = "auto"
@@ -47,7 +47,7 @@ class Options(NamedTuple):
 
 
 class Case(Protocol):
-    """A case that was read: its file, and remarks for its user."""
+    """A case that has been read: its file, and remarks for the user."""
 
     @property
     def file(self) -> Path: ...
@@ -61,10 +61,10 @@ class Report:
     """The layout of a run's report, from the files of its folder only.
 
     - `title`: the title of a run that has no title of its own.
-    - `folder`: the class that reads the run; that of a domain adds its units.
-    - `about`: (name, value) pairs under the title.
-    - `sections`: each makes a section of the page.
-    - `menu`: {link: the first section of its group}; empty: a link to each section.
+    - `folder`: the class that reads the run; the class of a domain adds its units.
+    - `about`: (name, value) pairs below the title. - `sections`: functions that make the sections
+      of the page. - `menu`: {link: the first section of its group}; if it is empty, there is a link
+      to every section.
     """
 
     title: str
@@ -74,7 +74,7 @@ class Report:
     menu: "Mapping[str, Callable[[Any], Section]]" = field(default_factory=dict)
 
     def links(self, made: "Sequence[Section]") -> "list[tuple[str, str]]":
-        """(anchor, text) of the menu; `made`: the sections made; those without blocks are not
+        """(anchor, text) for the menu; `made`: the sections; sections without blocks are not
         shown."""
         if not self.menu:
             return [(x.name, x.short) for x in made if x.blocks and x.short]
@@ -103,7 +103,7 @@ class Domain(Protocol):
     def templates(self) -> "Mapping[str, Traversable]": ...
 
     def read(self, file: Path, data: Mapping[str, Any]) -> Case:
-        """The records from the tables of a case; **raises** `CaseError` for every mistake."""
+        """Makes the records from the tables of a case; **raises** `CaseError` for every mistake."""
         ...
 
     def check(self, case: Any) -> list[str]:
@@ -119,7 +119,7 @@ class Domain(Protocol):
         ...
 
     def bench(self, engine: str, progress: "ProgressCallback") -> str:
-        """Times of values and gradients on this machine, as a table in text."""
+        """The times of values and gradients on this machine, as a table in plain text."""
         ...
 
 
@@ -127,13 +127,13 @@ class Domain(Protocol):
 class RunsCode(Protocol):
     """A domain whose cases run code, named only on the command line.
 
-    - `example`: the code of its template, as MODULE:CLASS.
+    - `example`: the code of the domain's template, as MODULE:CLASS.
     """
 
     example: str
 
     def with_simulator(self, module: str, name: str) -> Domain:
-        """The same domain with the simulator `name` of `module`."""
+        """The same domain with the simulator class `name` of `module`."""
         ...
 
     def decides(self, case: Any) -> Mapping[str, Any]:
@@ -151,7 +151,7 @@ def installed() -> dict[str, EntryPoint]:
     for entry_point in entry_points(group=GROUP):
         if entry_point.name in table and entry_point.value != table[entry_point.name].value:
             message = (
-                f"two packages provide this kind: {table[entry_point.name].value} "
+                f"two packages provide the same kind: {table[entry_point.name].value} "
                 f"and {entry_point.value}"
             )
             raise CaseError("kind", "", entry_point.name, message)
@@ -163,7 +163,7 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
     """The domain of a kind, the entry `where` of `file`."""
     available = installed()
     if not available:
-        message = "no kind of case is installed: install snapo with pip"
+        message = "no kind of case is installed; install snapo with pip"
         raise CaseError(file, where, kind, message)
     if not isinstance(kind, str) or kind not in available:
         raise _no_such_kind(kind, available, file, where)
@@ -180,7 +180,7 @@ def find(kind: Any, file: str, where: str = "kind") -> Domain:
 
 
 def _no_such_kind(kind: Any, available: Collection[str], file: str, where: str) -> CaseError:
-    """The mistake in a kind; that of a file may be "book" as well, for other commands."""
+    """The error for an unknown kind; the kind of a file may also be "book", for other commands."""
     if where and kind == BOOK:
         message = (
             "this is a book of contracts: use snapo book to value it, or snapo check to check it"
@@ -203,7 +203,7 @@ class CaseRequest(NamedTuple):
     """The options of a command for a case.
 
     - `path`: a TOML file, or a folder with case.toml.
-    - `assignments`: keys that have another value for this run, "contract.inventory=2000".
+    - `assignments`: keys with a new value for this run, "contract.inventory=2000".
     - `simulator`: (module, class) of the user, named only on the command line.
     """
 
@@ -213,8 +213,8 @@ class CaseRequest(NamedTuple):
 
 
 class Loaded(NamedTuple):
-    """A case that was read: its domain, its file, its tables after all changes, its records, and
-    the `assignments` that changed the tables."""
+    """A case that has been read: its domain, its file, its tables after all changes, its records,
+    and the `assignments` that changed the tables."""
 
     domain: Domain
     file: Path
@@ -236,8 +236,8 @@ def load(request: CaseRequest) -> Loaded:
         if not isinstance(domain, RunsCode):
             got = Unquoted(":".join(request.simulator))
             message = (
-                f'a case of kind "{domain.kind}" has its own simulator; a simulator of yours '
-                'needs a case of kind "own"'
+                f'a case of kind "{domain.kind}" has a fixed simulator; for your own simulator '
+                'write a case of kind "own"'
             )
             raise CaseError("--simulator", "", got, message)
         domain = domain.with_simulator(*request.simulator)
@@ -253,7 +253,7 @@ def load(request: CaseRequest) -> Loaded:
 def remarks(
     notes: Iterable[str], progress: "ProgressCallback", ignored: Collection[str] = ()
 ) -> None:
-    """Prints the remarks for the user of a case, without those `ignored` already."""
+    """Prints the remarks for the user of a case, except those in `ignored`."""
     for note in notes:
         if note not in ignored:
             progress(f"note: {note}")

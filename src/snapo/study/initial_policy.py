@@ -1,10 +1,10 @@
 """A trained policy from a file, with which the training of a study begins.
 
 It is the policy.npz of a run folder, or a file that `policy.save` wrote: arrays, and texts that
-describe them. It is read without running any code. The trained numbers come from the file;
-everything else, such as limits of an action or present holdings, comes from the case. The study
-gets two more parts: a copy of the policy, so that the run can be resumed without the other one,
-and the gain of training over it on the paths of the value.
+describe them. Reading it executes no code. The trained numbers come from the file; everything else,
+such as limits of an action or present holdings, comes from the case. The study gets two more parts:
+a copy of the policy, so that the run can be resumed without the original file, and the gain of
+training over this policy on the paths of the value.
 """
 
 import hashlib
@@ -45,8 +45,9 @@ OWN = re.compile(r"\.(low|high|groups)(\W|$)")  # settings that are those of the
 class SuppliedPolicy:
     """A policy to begin with, before its fit has been checked.
 
-    - `source`: the run folder or the file, as the command names it; `file`: where it was read.
-    - `content`: the bytes of the file; `value`: the value in its run, if there is one.
+    - `source`: the run folder or the file, as the command names it; `file`: the file that was read.
+    - `content`: the bytes of the file; `value`: the value of the policy in its run, if there is
+      one.
     - `arrays`: all numbers of the policy, in order; `text`: {position: kinds, sizes, functions}.
     """
 
@@ -59,13 +60,12 @@ class SuppliedPolicy:
 
     @property
     def checksum(self) -> str:
-        """The checksum of the file: a resumed run must begin with the same."""
+        """The checksum of the file; a resumed run must begin with the same file."""
         return f"sha256 {hashlib.sha256(self.content).hexdigest()[:16]}"
 
     def adopted_by(self, local: Policy) -> Policy:
-        """The policy of a case, `local`, with the trained numbers of this one.
-
-        **Raises:** `CaseError` if it is another kind of policy, or has other sizes.
+        """The policy of a case, `local`, with the trained numbers of this policy. **Raises:**
+        `CaseError` if the kinds or the sizes of the two policies differ.
         """
         needed = described({"policy": local})
         for position, word in needed.items():
@@ -96,7 +96,8 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
     - `kind`: the kind of the case; `out`: the folder of the new run. If both folders are the same,
       the policy is read before the new run removes it, and a resumed run reads its copy.
 
-    **Raises:** `CaseError` if there is no policy, or it is damaged, or from a run of another kind.
+    **Raises:** `CaseError` if there is no policy, or it is damaged, or from a run of a different
+    kind.
     """
     source = followed(source)
     value, file = None, source
@@ -107,9 +108,9 @@ def read(source: Path, kind: str, out: Path, resume: bool) -> SuppliedPolicy:
             value, file = _of_run(source, kind), source / POLICY
     if not file.is_file():
         message = (
-            "there is no policy here: name the folder that `snapo solve` wrote, its policy.npz, "
+            "there is no policy here; name a folder that `snapo solve` wrote, its policy.npz, "
         )
-        raise CaseError("--policy", "", str(source), message + "or a file of policy.save")
+        raise CaseError("--policy", "", str(source), message + "or a file that policy.save wrote")
     try:
         content = file.read_bytes()
         if not content.startswith(ZIP):
@@ -138,9 +139,12 @@ def _of_run(run: Path, kind: str) -> float | None:
 
 
 def _parted(file: Path, header: Any) -> tuple[Mapping[str, str], list[Any]]:
-    """Texts and arrays of the policy."""
+    """The texts and arrays of the policy."""
     if isinstance(header, dict) and isinstance(header.get("header"), dict):
-        message = "this is the state of a training: name the folder of its run, or its policy.npz"
+        message = (
+            "this file is the state of a training; name the folder of its run, or the "
+            "policy.npz in it"
+        )
         raise CaseError(str(file), "", None, message)
     try:
         content = stored(file, Policy)
@@ -151,7 +155,7 @@ def _parted(file: Path, header: Any) -> tuple[Mapping[str, str], list[Any]]:
 
 
 def _with(policy: Policy, names: set[Any], arrays: tuple[np.ndarray, ...]) -> Policy:
-    """The policy with other numbers where they are trained."""
+    """The policy with new numbers in place of the trained numbers."""
     numbers, rest = eqx.partition(policy, eqx.is_array)
     flat, structure = jax.tree_util.tree_flatten_with_path(numbers)
     new = [
@@ -162,7 +166,7 @@ def _with(policy: Policy, names: set[Any], arrays: tuple[np.ndarray, ...]) -> Po
 
 
 def _name(position: str) -> str:
-    """A part of a policy as text: "the activation" of "policy.network.activation"."""
+    """A part of a policy as text: "the activation" for "policy.network.activation"."""
     if position == "policy kind":
         return "the kind"
     return position.removeprefix("policy.").replace(" kind", "")
@@ -177,8 +181,7 @@ def _sizes(shapes: list[tuple[int, ...]]) -> str:
 
 
 def _seen(has: list[tuple[int, ...]], needs: list[tuple[int, ...]]) -> str:
-    """The numbers that the first matrices take, where they differ: the numbers that a policy
-    observes."""
+    """A clause on the numbers of observations of the two policies, if these differ."""
     first = [
         next((shape[1] for shape in shapes if len(shape) == 2), None) for shapes in (has, needs)
     ]
@@ -191,9 +194,8 @@ KEPT, GAIN = "given policy", "gain over the initial policy"
 
 
 def begun_with(study: Study, values: SuppliedPolicy, file: str) -> Study:
-    """The study with `values` instead of its untrained policy; `file` is that of its case.
-
-    **Raises:** `CaseError` if nothing is trained, or the policy does not fit.
+    """The study with the supplied policy instead of its untrained policy; `file`: the file of its
+    case. **Raises:** `CaseError` if nothing is trained, or the policy does not fit.
     """
     if study.setup is None or TRAINING.name not in {part.name for part in study.parts}:
         message = f"{file} trains no policy, so an initial policy cannot be used"
@@ -224,7 +226,7 @@ def _kept(values: SuppliedPolicy) -> Callable[[StudyRun], Mapping[str, Any]]:
 
 
 def _gain(run: StudyRun) -> Mapping[str, Any]:
-    """The value of the supplied policy here, and the gain of the trained one over it."""
+    """The value of the supplied policy in this run, and the gain of the trained policy over it."""
     setup, solution = run.setup, run.solution
     problem, engine = setup.problem, setup.engines.evaluate
     source, controls = problem.sources.evaluation, problem.simulator.control_variates()
@@ -245,7 +247,7 @@ def _gain(run: StudyRun) -> Mapping[str, Any]:
 
 
 def _told(result: Callable[[StudyRun], Mapping[str, Any]]):
-    """The result with the start, and with a sentence on it for the report."""
+    """The result with the initial policy, and a sentence on it for the report."""
 
     def report(run: StudyRun) -> Mapping[str, Any]:
         results, start = dict(result(run)), run.get("began_with")
@@ -266,12 +268,15 @@ def describe(start: Mapping[str, Any], gain: Mapping[str, Any]) -> str:
     """The initial policy of training, and the gain over it."""
     text = f"Training began with the policy of {start['policy']}"
     if start["value"] is not None:
-        text += f", whose value there is {number(start['value'])}"
+        text += f", whose value in its run is {number(start['value'])}"
     if not gain or gain["before"] is None:
         return f"{text}."
     before = _with_error(gain["before"], gain["before_error"])
     more = _with_error(gain["value"], gain["standard_error"])
-    return f"{text}. Its value here is {before}; training gained {more} over it on the same paths."
+    return (
+        f"{text}. In this run its value is {before}; training gained {more} over it on the "
+        f"same paths."
+    )
 
 
 def _with_error(value: float, error: float | None) -> str:

@@ -26,13 +26,14 @@ class Kind:
 
     - `kind`, `description`: the word in a case's `kind`, and a phrase for the list of `snapo new`.
     - `package`: the name of its package; `sizes`: {size: folder in it that `snapo new` copies}.
-    - `reader`, `summary`, `maker`, `page`, `timer`: "MODULE:NAME" in the package, of `read(file,
+    - `reader`, `summary`, `maker`, `page`, `timer`: "MODULE:NAME" in the package, for `read(file,
       data)`, `check(case)`, `study(case, options)`, a `Report`, and `bench(engine, progress)`;
-      without a timer, nothing of the kind is timed separately.
-    - `tables`: the name of the `Formats` of its tables, or of a function that returns them; the
-      schema that `snapo schema` prints is made of these.
+      without a timer, there are no separate times for the kind.
+    - `tables`: the name of the `Formats` of its tables, or of a function that returns them; `snapo
+      schema` makes its schema from them.
     - `relaxed`: the name of a function that returns a case's tables without the checks that apply
-      only to its present numbers, for a case with other numbers; "" if there are no such checks.
+      to its present numbers only, so that the numbers can be changed; "" if there are no such
+      checks.
     - `explainer`: the name of a function that splits the change of value between two runs into
       parts; "" if there is none.
     """
@@ -73,15 +74,15 @@ class Kind:
     def bench(self, engine: str, progress: "ProgressCallback") -> str:
         if not self.timer:
             allowed = (
-                "nothing of this kind is timed separately; `snapo solve` reports the times of a "
+                "there are no separate times for this kind; `snapo solve` reports the times of a "
                 "case"
             )
             raise CaseError("KIND", "", self.kind, allowed)
         return self.loaded(self.timer)(engine, progress)
 
     def with_other_numbers(self, data: Mapping[str, Any]) -> Mapping[str, Any]:
-        """The tables of a case whose numbers are moved, without checks of the numbers in its
-        file."""
+        """The tables of a case whose numbers are moved, without the checks that apply to the
+        numbers in its file only."""
         return self.loaded(self.relaxed)(data) if self.relaxed else data
 
     def loaded(self, name: str) -> Any:
@@ -91,7 +92,8 @@ class Kind:
 
 
 def inputs_line(sizes: Collection[int]) -> str:
-    """The line of a summary on the inputs of a case; `sizes`: the number of entries of each."""
+    """The line of a summary on the inputs of a case; `sizes`: the numbers of entries of the
+    inputs."""
     return f"{len(sizes)} inputs with {sum(sizes)} numbers, each with a sensitivity"
 
 

@@ -1,6 +1,5 @@
-"""A prepared run: its folder, everything that affects its numbers, and its study.
-
-The case is new, or it is read again from the copy in the folder of its run.
+"""Prepares a run: its folder, everything that affects its numbers, and its study. The case is new,
+or is read again from the copy in the folder of its run.
 """
 
 import ctypes
@@ -46,20 +45,20 @@ if TYPE_CHECKING:
 def case_of_run(out: Path, record: Mapping[str, Any]) -> tuple[Path, dict[str, Any]]:
     """The file of a run's case, and its tables with the keys that `--set` changed.
 
-    **Raises:** `CaseError` if the copy in the run folder is gone.
+    **Raises:** `CaseError` if the copy in the run folder is missing.
     """
     recorded = record["decides"]["case"]
     results = [load(file) for file in sorted((out / CASE).glob("*.toml"))]
     if not results:
-        message = "the copy of the case is missing: solve the case again"
+        message = "the copy of the case is missing; solve the case again"
         raise CaseError(str(out / CASE), "", None, message)
     file, data = min(results, key=lambda item: len(list(differences(_plain(item[1]), recorded))))
     return file, _as_recorded(data, recorded)
 
 
 def options_of_run(domain: Domain, case: Any, record: Mapping[str, Any], engine: str) -> Options:
-    """The options to study the case of a run again: without the checks that it passed, unless it
-    runs code that has changed since."""
+    """The options to study the case of a run again. The checks that it passed are omitted, unless
+    its code has changed since then."""
     typed = entries_of(RunRecord, record)
     decided = typed.settings.options.items()
     same = not isinstance(domain, RunsCode) or domain.decides(case).items() <= decided
@@ -67,7 +66,7 @@ def options_of_run(domain: Domain, case: Any, record: Mapping[str, Any], engine:
 
 
 def _as_recorded(data: Any, recorded: Any) -> Any:
-    """Tables of a file with the recorded values; those that are the same keep their types."""
+    """The tables of a file with the recorded values; unchanged values keep their types."""
     if isinstance(data, dict) and isinstance(recorded, dict):
         return {key: _as_recorded(data.get(key), value) for key, value in recorded.items()}
     if isinstance(data, list) and isinstance(recorded, list) and len(data) == len(recorded):
@@ -80,15 +79,14 @@ def _as_recorded(data: Any, recorded: Any) -> Any:
 
 
 def _plain(data: Any) -> Any:
-    """As run.json holds it."""
+    """A value in the form that run.json has."""
     return json.loads(json.dumps(data, default=str))
 
 
 def use_every_core() -> None:
-    """Sets XLA to one device per core, if JAX has not computed yet, and keeps its programs on disk.
-
-    On a machine with a GPU everything except an engine's rollouts still runs on the CPU:
-    its many small programs take longer to compile for a GPU than to run.
+    """Sets XLA to one device per core, if JAX has not computed anything yet, and stores its
+    programs on disk. On a machine with a GPU, everything except an engine's simulation still runs
+    on the CPU, because many small programs take longer to compile for a GPU than to run.
     """
     import jax
 
@@ -103,9 +101,9 @@ def use_every_core() -> None:
 def keep_memory() -> None:
     """Lets the process keep memory that it has used, if the C library is glibc.
 
-    This is for processes that repeat calls of the same sizes: it saves most of the time that the
-    system would take to give them new memory pages. Threads share two pools of memory, so that less
-    is kept.
+    This is for processes that repeat calls of the same sizes: it saves a large part of the time
+    that the system would need to provide new memory pages. Threads share two pools of memory, which
+    reduces the memory that the process holds.
     """
     if (set_option := _of_glibc("mallopt")) is not None:
         set_option(MAPPED_FROM, 16 << 20)
@@ -114,7 +112,7 @@ def keep_memory() -> None:
 
 
 def return_memory() -> None:
-    """Gives free memory back to the system, if the C library is glibc."""
+    """Returns free memory to the system, if the C library is glibc."""
     if (trim := _of_glibc("malloc_trim")) is not None:
         trim(0)
 
@@ -129,8 +127,9 @@ class Wanted(NamedTuple):
     - `engine`, `reference`, `ladder`, `hedge`, `gamma`: as in `Options`.
     - `resume`: continue the run.
     - `policy`: a run folder, or the file of a policy, with which training begins.
-    - `about`: the `about` of another run of the same case, whose checks are valid for this run too.
-    - `workers`: compute groups of paths, with bit-identical results.
+    - `about`: the `about` of another run of the same case, whose checks are also valid for this
+      run.
+    - `workers`: processes that compute groups of paths, with bit-identical results.
     """
 
     engine: str = "auto"
@@ -146,8 +145,8 @@ class Wanted(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Prepared:
-    """A run that can be carried out: its case, its folder, the settings that decide it, and its
-    study."""
+    """A run that is ready to be carried out: its case, its folder, the settings that determine its
+    numbers, and its study."""
 
     loaded: Loaded
     out: Path
@@ -158,7 +157,8 @@ class Prepared:
 def decided(
     loaded: Loaded, out: Path, requested: Wanted
 ) -> "tuple[dict[str, Any], SuppliedPolicy | None]":
-    """The settings that decide a run in the folder `out`, and the policy with which it begins."""
+    """The settings that determine the numbers of a run in the folder `out`, and its initial
+    policy."""
     options: dict[str, Any] = {"engine": requested.engine}
     if isinstance(loaded.domain, RunsCode):
         options |= loaded.domain.decides(loaded.case)
@@ -172,19 +172,18 @@ def decided(
 
 
 def is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
-    """Whether the folder `out` has the run to resume; False if it has none.
-
-    **Raises:** `CaseError` if it has another one.
+    """Whether the folder `out` has the run to resume; False if it has no run. **Raises:**
+    `CaseError` if it has a different run.
     """
     decides, _ = decided(loaded, out, requested)
     return run_folder.check_same(out, decides) is not None
 
 
 def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
-    """The study of a case, beginning with the named policy, if any.
+    """The study of a case, whose training begins with the policy of the options, if there is one.
 
-    **Raises:** `CaseError` if the policy does not fit, or the run to resume is a different one;
-    nothing is written before.
+    **Raises:** `CaseError` if the policy does not fit, or the run to resume is a different one; in
+    these cases nothing is written.
     """
     use_every_core()
     decides, values = decided(loaded, out, requested)
@@ -213,14 +212,13 @@ def made_ready(loaded: Loaded, out: Path, requested: Wanted) -> Prepared:
 
 
 def _over(study: "Study", workers: "Workers", file: str) -> "Study":
-    """The study with workers that compute groups of paths.
-
-    **Raises:** `CaseError` if they cannot.
+    """The study with workers that compute groups of paths. **Raises:** `CaseError` if workers
+    cannot be used.
     """
     from .study import Setup, with_change
 
     if study.setup is None:
-        message = f"{file} trains no policy, so that workers cannot be used"
+        message = f"{file} trains no policy, so workers cannot be used"
         raise CaseError("--on, --workers", "", None, message)
 
     def distributed(setup: Setup) -> Setup:
@@ -235,7 +233,7 @@ def _over(study: "Study", workers: "Workers", file: str) -> "Study":
 
 
 def _with_notes(study: "Study", notes: Iterable[str]) -> "Study":
-    """The study with the remarks on its case among its notes, also if it has none."""
+    """The study with the remarks on its case among its notes."""
     every = dict.fromkeys([*notes, *study.about.get("notes", ())])
     return replace(study, about={**study.about, "notes": list(every)})
 
@@ -247,10 +245,10 @@ def carried_out(
     began: float,
     adjacent: Mapping[str, float] | None = None,
 ) -> dict[str, Any]:
-    """Does the parts of the study; returns the content of result.json.
+    """Computes the parts of the study; returns the content of result.json.
 
-    `began`: when the command began, by `time.perf_counter()`; `adjacent`: seconds of other work
-    for the run.
+    `began`: the `time.perf_counter()` at which the command began; `adjacent`: the time of other
+    work for the run, in seconds.
     """
     from .carry_out import carry_out
 

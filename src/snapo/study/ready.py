@@ -1,4 +1,4 @@
-"""A case made ready to solve: the steps that every domain's setup has in common."""
+"""Prepares a case for `solve`: the steps that are common to the setups of all domains."""
 
 from collections.abc import Callable
 from typing import Any
@@ -40,7 +40,7 @@ def same_program(problem: Problem, other: Simulator) -> bool:
 
 
 def _traced(problem: Problem, simulator: Simulator) -> ProgramText:
-    """The program of one path as text, and its constants."""
+    """The traced program of one path as text, and its constants."""
     values = [jnp.asarray(value) for value in inputs_.values(problem.inputs)]
     noise = jnp.zeros(simulator.noise_size), jnp.zeros(simulator.initial_noise_size)
 
@@ -61,7 +61,7 @@ def _traced(problem: Problem, simulator: Simulator) -> ProgramText:
 def engines_for(requested: EngineName, problem: Problem, policy: Policy) -> Engines:
     """The engines of a run.
 
-    **Raises:** `CaseError` if the requested engine cannot take the problem, with the reason.
+    **Raises:** `CaseError` if the requested engine cannot run the problem, with the reason.
     """
     try:
         return choose(requested, problem, policy)
@@ -76,7 +76,7 @@ def with_auto(
     """The setup of a general policy, in which all defaults are chosen from the problem, as
     in `snapo.solve`.
 
-    **Raises:** `CaseError` if the engine cannot take the problem.
+    **Raises:** `CaseError` if the engine cannot run the problem.
     """
     policy = recipe.for_problem(problem.interface, jax.random.key(training.seed))
     engines = engines_for(engine, problem, policy)
@@ -87,10 +87,9 @@ def with_auto(
 def at_values(
     setup: Setup, simulator: Simulator, values: dict[str, Any], rebuilt: Callable[[], Setup]
 ) -> Setup:
-    """The setup at other `values` of its inputs, with the code that is compiled already.
-
-    `simulator` is that of the moved case. If it uses a number as a plain constant, it is another
-    program, and `rebuilt` makes the setup.
+    """The setup at new `values` of its inputs, with the code that is already compiled. `simulator`:
+    the simulator of the moved case. If it uses a moved number as a plain constant, it is a
+    different program, and `rebuilt` makes the setup.
     """
     if not same_program(setup.problem, simulator):
         return rebuilt()

@@ -1,17 +1,17 @@
 """The folder of a run: its settings, its parts, and files written atomically.
 
-run.json            layout, kind, everything that decides the numbers, the state of every part, with
-                    checksums of its files and of result.json; and its own
+run.json            layout, kind, everything that determines the numbers, the state of every part,
+                    with checksums of its files, of result.json, and of run.json
 result.json         the headline: value, standard error, references, seconds, status
 case/               a copy of the case
 parts/NAME.json     the tables of one part
-checkpoint.npz, policy.npz, halfway.npz, solution.npz, history.csv, sensitivities.csv: of the
-                    training; the policies as files of `policy.save`
+checkpoint.npz, policy.npz, halfway.npz, solution.npz, history.csv, sensitivities.csv: from
+                    the training; the policies as `policy.save` writes them
 adjoints.csv        how adjoints grow by step, if training measured them
-groups.npz          values of independent groups of paths, by which runs are compared
-start.npz           the policy with which training began, where one was given
-seeds.csv, seeds/   where several seeds were asked for: their values, and a run folder of each
-policy.onnx, policy.py, policy.csv      of `snapo export`
+groups.npz          values of independent groups of paths, for comparisons of runs
+start.npz           the policy with which training began, if one was supplied
+seeds.csv, seeds/   if several seeds were requested: their values, and their run folders
+policy.onnx, policy.py, policy.csv      from `snapo export`
 report.html
 """
 
@@ -52,7 +52,7 @@ CHECKPOINT, REPORT, GROUPS = "checkpoint.npz", "report.html", "groups.npz"
 PDF = "report.pdf"  # the report, printed
 TABLES = "tables.xlsx"  # its tables, as a workbook
 ONNX, PYTHON, DECIDED = "policy.onnx", "policy.py", "policy.csv"  # of `snapo export`
-START = "start.npz"  # the policy with which training began, where one was given
+START = "start.npz"  # the policy with which training began, if one was supplied
 SEEDS = "seeds.csv"  # one row for each seed, if several were asked for
 WRITTEN = (
     RUN, RESULT, REPORT, PDF, TABLES, CHECKPOINT, GROUPS, POLICY, HALFWAY, SOLUTION, HISTORY,
@@ -70,7 +70,7 @@ ENOUGH_SPACE = 64 << 20  # bytes that a run folder may need
 
 
 def check_writable(out: Path) -> None:
-    """Detects an unwritable folder or a full disk before training, not after it."""
+    """Detects before training that a folder cannot be written or that the disk is full."""
     folder = out
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
@@ -80,7 +80,8 @@ def check_writable(out: Path) -> None:
         with tempfile.TemporaryFile(dir=folder):
             pass
     except OSError as error:
-        raise CaseError(str(out), "", None, f"cannot write there ({error.strerror})") from None
+        message = f"this folder cannot be written ({error.strerror})"
+        raise CaseError(str(out), "", None, message) from None
     free = shutil.disk_usage(folder).free
     if free < ENOUGH_SPACE:
         message = f"{free >> 20} MB are free there; a run needs {ENOUGH_SPACE >> 20} MB"
@@ -88,13 +89,13 @@ def check_writable(out: Path) -> None:
 
 
 def case_files(folder: Path, pictures: bool = False) -> list[Path]:
-    """The files next to a case that may belong to it, with its `pictures` or without."""
+    """The files next to a case that may belong to it; `pictures`: whether these are included."""
     suffixes = CASE_FILES + PICTURES if pictures else CASE_FILES
     return sorted(f for f in folder.iterdir() if f.is_file() and f.suffix.lower() in suffixes)
 
 
 def tables_named(folder: Path, tables: Any) -> list[Path]:
-    """The other TOML files of a folder that the tables of a case name, one by one or in a list."""
+    """The other TOML files in a folder that the tables of a case name, singly or in lists."""
     if isinstance(tables, Mapping):
         parts = [tables_named(folder, item) for item in tables.values()]
     elif isinstance(tables, list):
@@ -117,9 +118,9 @@ def copy_case(file: Path, out: Path, logo: str | None = None) -> None:
 
 
 def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) -> dict[str, Any]:
-    """All settings that determine the numbers of a run; a resumed run must have the same. They are
-    the keys of the case as they were read (with `--set`), the bytes of the files next to it, the
-    options of the command, the versions of the libraries and the machine.
+    """All settings that determine the numbers of a run; a resumed run must have the same settings.
+    They are the keys of the case as they were read (with `--set`), the bytes of the files next to
+    the case, the options of the command, the versions of the libraries, and the machine.
     """
     from snapo.solver.provenance import versions  # late: a list of runs needs no JAX
 
@@ -137,7 +138,7 @@ def decisive(file: Path, data: Mapping[str, Any], options: Mapping[str, Any]) ->
 
 
 def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dict[str, Any]:
-    """The record of a run (run.json): that of the run to resume, or a new one.
+    """The record (run.json) of the run to resume, or a new record.
 
     A new run removes the files of the previous one.
 
@@ -154,26 +155,28 @@ def start(out: Path, kind: str, decides: Mapping[str, Any], resume: bool) -> dic
 
 
 def check_same(out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The record of the run to resume in a folder, None if there is none yet.
-
-    **Raises:** `CaseError` if it was started with other settings, or by an earlier version.
+    """The record of the run to resume in a folder; None if there is none yet. **Raises:**
+    `CaseError` if the run was started with other settings or by an earlier version.
     """
     if not any((out / name).exists() for name in (RUN, RESULT, CHECKPOINT)):
         return None
     old = read(out)
     if difference := changed(decisive_settings(old["decides"]), decisive_settings(decides)):
-        message = f"this run was started with {difference}; resume with the same, or solve into "
+        message = (
+            f"this run was started with {difference}; resume it with the same settings, or "
+            f"solve into "
+        )
         raise CaseError(str(out / RUN), "", None, message + "another folder")
     return old | {"decides": plain_json(decides)}
 
 
 def _written(out: Path) -> list[Path]:
-    """The files of an earlier run that a report would read; nothing else is touched."""
+    """The files of an earlier run that a report would read; other files are not included."""
     return [*(out / PARTS).glob("*.json"), *(out / name for name in WRITTEN)]
 
 
 def become(out: Path, source: Path) -> None:
-    """Replaces the run of this folder by that of another one; its report is not taken."""
+    """Replaces the run in this folder by the run in another folder, except its report."""
     (out / PARTS).mkdir(parents=True, exist_ok=True)
     for file in _written(out):
         file.unlink(missing_ok=True)
@@ -191,7 +194,7 @@ def save(out: Path, record: Mapping[str, Any]) -> None:
 def read(out: Path) -> dict[str, Any]:
     """The record of the run in a folder.
 
-    **Raises:** `CaseError` if there is no run, or one that an earlier version wrote.
+    **Raises:** `CaseError` if there is no run, or if an earlier version wrote it.
     """
     file = out / RUN
     try:
@@ -213,7 +216,7 @@ def read(out: Path) -> dict[str, Any]:
 
 
 def _check_record(record: Mapping[str, Any]) -> None:
-    """**Raises:** `ValueError` if a record of this layout is incomplete, or was changed."""
+    """**Raises:** `ValueError` if a record of this layout is incomplete or was changed."""
     states = record["parts"]
     plain = (
         (record["kind"], str),
@@ -221,13 +224,13 @@ def _check_record(record: Mapping[str, Any]) -> None:
         (entries_of(RunRecord, record).about, Mapping),
     )
     if not all(isinstance(item, kind) for item, kind in (*plain, (states, dict))):
-        raise ValueError("its tables are of other kinds")
+        raise ValueError("its tables have wrong types")
     for state in states.values():
         if not isinstance(state["state"], str) or not isinstance(state["note"], str):
             raise ValueError("the state of a part is not a text")
         float(state["seconds"])
     if not is_sealed(record):
-        raise ValueError("it was changed or damaged")
+        raise ValueError("this file was changed or damaged")
 
 
 def mark(decides: Mapping[str, Any]) -> str:
@@ -236,8 +239,8 @@ def mark(decides: Mapping[str, Any]) -> str:
 
 
 def decisive_settings(decides: Mapping[str, Any]) -> dict[str, Any]:
-    """The settings on which numbers depend. The list of requested parts is not among them, so that
-    a run of few parts can be continued with more parts, and neither are the texts of its page."""
+    """The settings on which numbers depend. The list of requested parts is not one of them, so that
+    a run of a few parts can be continued with more parts. Neither are the texts of its page."""
     case = dict(entries_of(RunSettings, decides).case)
     if isinstance(case.get("report"), dict):
         case["report"] = {key: item for key, item in case["report"].items() if key not in APART}
@@ -250,7 +253,10 @@ def check_whole(out: Path, record: Mapping[str, Any], names: tuple[str, ...]) ->
     files = {name: item for state in record["parts"].values() for name, item in files_of(state)}
     requested = {name: files[name] for name in names if name in files}
     for name in changed_files(out, requested):
-        message = "this file was changed or damaged since it was written: solve with --resume again"
+        message = (
+            "this file was changed or damaged since it was written; run snapo solve again "
+            "with --resume"
+        )
         raise CaseError(str(out / name), "", None, message)
 
 
@@ -262,7 +268,7 @@ def files_of(state: Mapping[str, Any]) -> list[tuple[str, str]]:
 
 def _no_run(out: Path) -> CaseError:
     if (out / SOLUTION).exists() and not (out / CASE).exists():
-        message = "solution.save wrote this folder, which has no case: read it with Solution.load"
+        message = "solution.save wrote this folder, which has no case; read it with Solution.load"
         return CaseError(str(out), "", None, message)
     if (out / RESULT).exists() or (out / CHECKPOINT).exists():
         message = (
@@ -270,32 +276,32 @@ def _no_run(out: Path) -> CaseError:
             f"solve its case again: snapo solve {out / CASE} --out NEW"
         )
         return CaseError(str(out), "", None, message)
-    message = "this is not the folder of a run: `snapo solve` writes run.json into it"
+    message = "this is not the folder of a run, which has a file run.json written by `snapo solve`"
     if (out / BOOK).is_file():
         message = f"this is the folder of a book; `snapo report {out}` writes its report.html"
     elif out.is_file() and OF_A_BOOK.search(out.read_text(encoding="utf-8", errors="replace")):
-        message = f"this is a book, which has no live page: use snapo book {out}"
+        message = f"this is a book, which has no live page; use snapo book {out}"
     elif out.is_file() or any((out / name).is_file() for name in ("case.toml", "case.xlsx")):
-        message = f"this case has no run yet; `snapo solve {out}` makes one"
+        message = f"this case has no run yet; `snapo solve {out}` computes one"
     return CaseError(str(out), "", None, message)
 
 
 class Difference(NamedTuple):
-    """One setting of two runs that is not the same: its name, and its values (None if absent)."""
+    """A setting in which two runs differ: its name, and its two values (None if absent)."""
 
     name: str
     first: Any
     second: Any
 
     def describe(self) -> str:
-        """In a line, "training.steps: 240, 300"; a file has its name only."""
+        """The difference in one line, "training.steps: 240, 300"; a file has its name only."""
         if self.name.startswith("files."):
             return f"another {self.name.removeprefix('files.')}"
         return f"{self.name}: {in_words(self.first)}, {in_words(self.second)}"
 
 
 def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
-    """All settings that differ between two tables of settings that decide a run."""
+    """All settings that differ between two tables of settings of runs."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key in [*old, *(key for key in new if key not in old)]:
             name = f"{where}.{key}" if where else key
@@ -305,7 +311,8 @@ def differences(old: Any, new: Any, where: str = "") -> Iterator[Difference]:
 
 
 def changed(old: Any, new: Any) -> str:
-    """The first difference of two tables as a clause, "training.steps = 240, and now it is 300"."""
+    """The first difference between two tables as a clause, "training.steps = 240, and now it is
+    300"."""
     difference = next(differences(old, new), None)
     if difference is None:
         return ""
@@ -316,20 +323,21 @@ def changed(old: Any, new: Any) -> str:
 
 
 def in_words(value: Any) -> str:
-    """A setting as in a case, cut short if it is long."""
+    """A setting as text, cut short if it is long."""
     text = "not given" if value is None else json.dumps(value)
     return text if len(text) <= 60 else text[:57] + "..."
 
 
 def write_part(out: Path, part: "Part", tables: Mapping[str, Any]) -> dict[str, Any]:
-    """Saves the tables of a part, and returns them as they are read from its file."""
+    """Saves the tables of a part, and returns them in the form in which they are read from the
+    file."""
     text = json.dumps(plain_json(tables))
     write_text(out / PARTS / part.file, text)
     return json.loads(text)
 
 
 def read_part(out: Path, part: "Part") -> dict[str, Any] | None:
-    """The tables of a part that was done before; None if its file is not there or damaged."""
+    """The tables of a part that was done before; None if its file is missing or damaged."""
     return read_table(out / PARTS / part.file)
 
 

@@ -1,4 +1,5 @@
-"""Trainings of one case with several seeds, compared on common paths used for nothing else."""
+"""Trains one case with several seeds, and compares the policies on common paths that are used for
+nothing else."""
 
 import json
 import time
@@ -37,7 +38,7 @@ STREAM = 0x5EED  # of the evaluation's scenarios: those on which seeds are compa
 
 
 class Trained(NamedTuple):
-    """One seed: its study, and the result of its training."""
+    """One seed: its study and the result of its training."""
 
     seed: int
     study: Study
@@ -46,11 +47,13 @@ class Trained(NamedTuple):
 
 
 class SeedRow(NamedTuple):
-    """One seed in the table.
+    """One seed in the table of seeds.
 
-    - `value`, `standard_error`: on the paths that all seeds share; None if training failed.
-    - `below_best`, `below_best_error`: the difference from the best, paired path by path.
-    - `within`: whether all limits of the problem are met, or nearly, on the run's paths.
+    - `value`, `standard_error`: the value on the paths that all seeds share, and its error; None if
+      training failed.
+    - `below_best`, `below_best_error`: the value of the best seed minus this value, paired path by
+      path, and its error.
+    - `within`: whether all limits of the problem are met, or nearly met, on the paths of the run.
     """
 
     seed: int
@@ -66,7 +69,7 @@ class SeedRow(NamedTuple):
 
 
 class SeedComparison(NamedTuple):
-    """All seeds side by side.
+    """The comparison of all seeds.
 
     - `best`: the seed with the highest value, among those within their limits if there are any.
     - `mean`, `worst`, `highest`, `deviation`: statistics of the values; `standard_error`: the Monte
@@ -85,12 +88,12 @@ class SeedComparison(NamedTuple):
     paths: int
 
     def table(self) -> dict[str, Any]:
-        """As plain data."""
+        """The comparison as plain data."""
         return self._asdict() | {"rows": [row._asdict() for row in self.rows]}
 
 
 def compared(trained: Sequence[Trained]) -> SeedComparison:
-    """The policies of all seeds on common paths: of the first one's problem."""
+    """Compares the policies of all seeds on common paths of the first seed's problem."""
     setup = _setup(trained[0].study)
     problem, fresh = _measured_on_others(setup)
     results = [_shares(problem, setup, item) for item in trained]
@@ -156,7 +159,7 @@ def _within(result: RunResult) -> bool:
 
 
 def _best(values: np.ndarray, within: Sequence[bool]) -> int:
-    """The number of the best: a policy that meets the limits comes before all that break one."""
+    """The position of the best seed; policies that meet all limits come before all others."""
     allowed = np.array(within) if any(within) else np.full(len(values), True)
     ranked = np.where(allowed & np.isfinite(values), values, -np.inf)
     return int(np.argmax(ranked))
@@ -183,7 +186,7 @@ def _row(
 
 
 def describe(result: Mapping[str, Any]) -> str:
-    """The effect of choosing the best of several on the reported value."""
+    """A sentence on the effect that the choice of the best seed has on the reported value."""
     from snapo.report.quantity import decimals, finite, number
 
     rows, best = result["rows"], result["best"]
@@ -196,16 +199,19 @@ def describe(result: Mapping[str, Any]) -> str:
     )
     if sizes[0] is not None and sizes[1] is not None:
         text += (
-            f" and the standard deviation {number(sizes[0], digits)} between seeds, next to a "
-            f"Monte Carlo error of {number(sizes[1], digits)} that all share"
+            f" and the standard deviation {number(sizes[0], digits)} between seeds, in addition "
+            f"to a Monte Carlo error of {number(sizes[1], digits)} that all of them share"
         )
     if result["standard_error"] == 0:  # nothing is random
         return f"{text}."
     if result["fresh"]:
-        return f"{text}. The value of this run is on other paths, not used for that choice."
+        return (
+            f"{text}. The value of this run is from other paths, which were not used for this "
+            f"choice."
+        )
     return (
-        f"{text}. No other paths are available, so the value is that of the best of several seeds "
-        "on the same paths, and biased slightly upwards."
+        f"{text}. No other paths are available, so the value of this run is from the paths on "
+        f"which the best seed was chosen, and is biased slightly upwards."
     )
 
 
@@ -219,9 +225,9 @@ def solve_seeds(
     requested: Wanted,
     seeds: int | Sequence[int],
 ) -> dict[str, Any]:
-    """Trains every seed, and carries out the run of the best; returns the content of result.json.
-
-    `seeds`: the number of seeds, from the seed of the case on, or the seeds themselves.
+    """Trains every seed, and carries out the run of the best seed; returns the content of
+    result.json. `seeds`: the number of consecutive seeds from the seed of the case on, or the seeds
+    themselves.
 
     **Raises:** `CaseError` if the case trains nothing, or the folder contains another run.
     """
@@ -267,7 +273,7 @@ def _numbers(loaded: Loaded, seeds: int | Sequence[int]) -> list[int]:
 
 
 def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Prepared:
-    """The run of one seed in its own folder."""
+    """The run of one seed, in a separate folder."""
     folder = out / TABLE / str(seed)
     selected, values = folder / run_folder.START, requested.policy
     # RUN may be the folder of the given policy, and another run by now.
@@ -275,7 +281,7 @@ def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Prepared:
         requested = requested._replace(policy=selected)
     ready = made_ready(loaded, folder, requested)
     if ready.study.setup is None or TRAINING.name not in {part.name for part in ready.study.parts}:
-        message = "this case trains no policy, so that all seeds are the same"
+        message = "this case trains no policy, so all seeds would give the same result"
         raise CaseError("--seeds", "", None, f"{loaded.file}: {message}")
     return ready
 
@@ -283,7 +289,7 @@ def _ready(loaded: Loaded, out: Path, seed: int, requested: Wanted) -> Prepared:
 def _trained(
     one: Prepared, seed: int, requested: Wanted, progress: "ProgressCallback", began: float
 ) -> Trained:
-    """The parts up to the training, done in the seed's folder."""
+    """Computes the parts up to the training in the folder of the seed."""
     parts = with_needs(one.study.parts, (KEPT, TRAINING.name))
     study = replace(one.study, parts=parts)
 
@@ -296,9 +302,8 @@ def _trained(
 
 
 def _is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
-    """Whether a folder has such a run of several seeds, or some of its trainings.
-
-    **Raises:** `CaseError` if it has one that differs by more than its seed.
+    """Whether a folder has this run of several seeds, or some of its trainings. **Raises:**
+    `CaseError` if it has a run that differs in more than its seed.
     """
     decides, _ = decided(loaded, out, requested)
     records = [out / run_folder.RUN, *sorted(out.glob(f"{TABLE}/*/{run_folder.RUN}"))]
@@ -309,7 +314,7 @@ def _is_same(loaded: Loaded, out: Path, requested: Wanted) -> bool:
 
 
 def _check_same(out: Path, decides: Mapping[str, Any]) -> None:
-    """**Raises:** `CaseError` if RUN holds a run that differs by more than its seed."""
+    """**Raises:** `CaseError` if RUN holds a run that differs in more than its seed."""
     if not (out / run_folder.RUN).exists():
         return
     seeded = json.loads(json.dumps(decides))
@@ -321,7 +326,8 @@ def _check_same(out: Path, decides: Mapping[str, Any]) -> None:
 
 
 def _adopt(best: Prepared, source: Path, resume: bool) -> None:
-    """The folder of the best seed as RUN; kept, without its table, if it is already this run."""
+    """Makes the folder of the best seed RUN. If RUN already is this run, it is not changed, except
+    that its table of seeds is removed."""
     if resume and (best.out / run_folder.RUN).exists():
         record = run_folder.read(best.out)
         if run_folder.mark(record["decides"]) == run_folder.mark(best.decides):
@@ -352,5 +358,5 @@ def _cells(row: SeedRow) -> Iterator[Any]:
 
 
 def _spent(comparison: SeedComparison) -> float:
-    """The seconds of all seeds but the best one, whose seconds are in its own run."""
+    """The time of all seeds except the best one, whose time is in its run, in seconds."""
     return sum(row.seconds for row in comparison.rows if row.seed != comparison.best)

@@ -1,7 +1,7 @@
 """A study: a problem, and the parts of a run that analyse it.
 
-A part leaves its tables in the run folder, reports its progress, can fail without losing the
-others, and is not done again when a run is resumed.
+A part writes its tables to the run folder and reports its progress. If it fails, the other parts
+are not lost; if a run is resumed, completed parts are not computed again.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -28,7 +28,7 @@ ProgressCallback = Callable[[str], None]
 
 
 class Setup(NamedTuple):
-    """All arguments of `snapo.solve` for a training.
+    """All arguments of `snapo.solve` for the training of a study.
 
     `recipe`: the recipe of `policy`, if it is a general policy, so that training begins as
     `snapo.solve` does; with None training begins from `policy` itself. `case`: the prepared case,
@@ -44,7 +44,7 @@ class Setup(NamedTuple):
     case: Any = None
 
     def solve(self, **options: Any) -> Solution:
-        """`snapo.solve` with these arguments; `options`: its others.
+        """`snapo.solve` with these arguments; `options`: further arguments.
 
         **Raises:** `Interrupted` with the solution if Ctrl-C has ended the training.
         """
@@ -64,7 +64,8 @@ class Setup(NamedTuple):
 def with_change(
     setup: Callable[[], Setup], change: Callable[[Setup], Setup]
 ) -> Callable[[], Setup]:
-    """The setup of a study with a change applied once, since it may be replaced during a run."""
+    """The `setup` function of a study with a change, which is applied only once, since the setup
+    may be replaced during a run."""
     made: dict[int, tuple[Setup, Setup]] = {}
 
     def build() -> Setup:
@@ -77,7 +78,7 @@ def with_change(
 
 
 class Today(NamedTuple):
-    """The decision of today in the terms of its domain.
+    """Today's decision in the terms of its domain.
 
     - `description`: the decision in one line, "withdraw 164 MWh"; `facts`: triples (name, number,
       unit) next to it.
@@ -95,7 +96,7 @@ class LiveTable(NamedTuple):
 
     - `title`; `description`: one line above the table; `columns`: pairs (name, unit) of the table;
       `rows`: its rows of texts and numbers.
-    - `facts`: triples (name, number, unit) of the figures to read first, above the table.
+    - `facts`: triples (name, number, unit) of the main figures, which are shown above the table.
     """
 
     title: str
@@ -108,7 +109,7 @@ class LiveTable(NamedTuple):
 class PathTotals(NamedTuple):
     """The rollout of a policy on the paths of the page's value, from which sections are made.
 
-    - `totals`: {output: [N]}, exact; `groups` [N]: paths of one group are not independent.
+    - `totals`: {output: [N]}, exact; `groups` [N]: the groups of dependent paths.
     """
 
     setup: Setup
@@ -116,20 +117,22 @@ class PathTotals(NamedTuple):
     groups: Any
 
     def mean(self, values: Any) -> tuple[float, float]:
-        """Mean of numbers [N] by path, and its standard error."""
+        """The mean of numbers [N] of the paths, and its standard error."""
         average = statistics.mean(np.asarray(values, np.float64), self.groups)
         return average.value, average.standard_error
 
     def ratio(self, top: str, bottom: str) -> tuple[float, float]:
-        """One output's mean over another's, and its standard error."""
+        """The mean of one output divided by the mean of another, and the standard error of this
+        ratio."""
         ratio = statistics.ratio(self.totals[top], self.totals[bottom], self.groups)
         return ratio.value, ratio.standard_error
 
 
 class DisplayedValue(NamedTuple):
-    """A value as its readers know it, an increasing function such as "Certainty equivalent" in %.
+    """The number that readers see instead of the value: an increasing function of the value, such
+    as a "Certainty equivalent" in %.
 
-    - `number`: at the value; `slope`: d number / d value.
+    - `number`: the number at the value; `slope`: its derivative with respect to the value.
     """
 
     name: str
@@ -162,7 +165,7 @@ class Recalculated(Protocol):
     def inputs_by_name(self) -> Mapping[str, Input]: ...
 
     def stages(self, case: Any) -> Iterator[tuple[str, Any]]:
-        """Pairs (name, table), one after another.
+        """Yields pairs (name, table).
 
         - "value": "value", "standard_error", "paths", "kept" [N] by path, and "outputs", each a
           `CalculatedOutput`.
@@ -174,13 +177,13 @@ class Recalculated(Protocol):
 
 
 class Part(NamedTuple):
-    """One piece of a run.
+    """A part of a run.
 
-    - `name`: a text such as "sensitivity matrix"; its tables are kept as
+    - `name`: a text such as "sensitivity matrix"; its tables are saved as
       parts/sensitivity-matrix.json.
-    - `work`: takes the `StudyRun` and returns {key: table} in plain data or NumPy: the keys under
-      which reports find them (`run.get("key")`). No two parts give the same key.
-    - `needs`: the parts without which it cannot be done; if one of them failed, it is skipped.
+    - `work`: takes the `StudyRun` and returns {key: table} in plain data or NumPy. Reports read the
+      tables by these keys (`run.get("key")`). No two parts may have the same key.
+    - `needs`: the parts that must be done first; if one of them failed, this part is skipped.
     """
 
     name: str
@@ -189,7 +192,7 @@ class Part(NamedTuple):
 
     @property
     def file(self) -> str:
-        """The name of its file."""
+        """The name of the file of the part."""
         return self.name.replace(" ", "-") + ".json"
 
 
@@ -198,26 +201,26 @@ class Study:
     """A problem, and the parts of its runs.
 
     - `kind`: the kind of the domain.
-    - `about`: facts that are known before any work: title, currency, dates, notes … for the report;
-      "units" and "names" of series for report and live page, where a series with an empty name is
-      not shown.
+    - `about`: facts that are available before any computation: title, currency, dates, notes … for
+      the report; "units" and "names" of series for report and live page, in which a series with an
+      empty name is not shown.
     - `parts`: in the order in which they are done.
     - `result`: makes the content of result.json from the run so far: "value", "standard_error",
       "status" …
     - `setup`: returns the arguments of training, always the same object; None if nothing trains.
-    - `relaxation`: returns the inner problem of the upper bound; or a text with the reason why
-      there is none.
-    - `setup_at`: gives the setup at a case that differs in the numbers of its inputs only, as fast
-      as it can: with code that is compiled already. None if its inputs cannot be moved.
-    - `checks`: the case's tables with figures that check its numbers; a case with other numbers is
-      written without them.
+    - `relaxation`: returns the inner problem of the upper bound, or a text with the reason why
+      there is no bound.
+    - `setup_at`: returns, with code that is already compiled, the setup for a case that differs
+      only in the numbers of its inputs. None if its inputs cannot be moved.
+    - `checks`: the names of tables of the case whose figures check its numbers; a case with new
+      numbers is written without these tables.
     - `today`: returns today's decision for a setup and a policy, as the rows of a table.
     - `inputs`: returns the inputs of a case by name; None if they are collected from its records.
     - `live_tables`: returns the sections of the domain on the live page.
     - `headline`: returns the headline for a value of a setup's objective; None if there is none.
     - `recalculated`: returns the calculation at other inputs for a study without training.
-    - `meanwhile`: work for later parts, done in a thread during the training; they repeat it if it
-      failed.
+    - `meanwhile`: work for later parts, which a thread does during the training; if it fails, these
+      parts do it again.
     """
 
     kind: str
@@ -241,21 +244,24 @@ class Study:
             if part.name in names[:position]:
                 raise ValueError(f"Study: two parts are named {part.name!r}.")
             if unknown := set(part.needs) - set(names[:position]):
-                raise ValueError(f"Study: {part.name!r} needs {sorted(unknown)} before it.")
+                raise ValueError(
+                    f"Study: {part.name!r} needs {sorted(unknown)}, which are not before it."
+                )
 
     @property
     def names(self) -> Mapping[str, str]:
-        """Names of states, decisions and outputs for a reader; an empty one is not shown."""
+        """The names of states, decisions and outputs for readers; a series with an empty name is
+        not shown."""
         return self.about.get(NAMES) or {}
 
 
 @dataclass(eq=False)
 class StudyRun:
-    """A study while it runs: the results that its parts read, and the folder that they write.
+    """A study that is being run: the results that its parts read, and the folder that they write.
 
     - `folder`: the folder of the run; `resume`: whether to continue from its checkpoint.
     - `progress`: takes one line of progress.
-    - `results`: the tables of all finished parts by key, as they come back from JSON.
+    - `results`: the tables of all finished parts by key, in the form in which JSON returns them.
     - `troubles`: errors of writing files.
     - `mark`: a hash of everything that affects its numbers; a checkpoint with another mark is not
       used.
@@ -271,7 +277,7 @@ class StudyRun:
     mark: str = ""
 
     def get(self, path: str, default: Any = None) -> Any:
-        """The entry "today.spot" of the tables, or `default` where it is missing or null."""
+        """The entry "today.spot" of the tables, or `default` if it is missing or null."""
         table: Any = self.results
         for key in path.split("."):
             table = table.get(key) if isinstance(table, dict) else None
@@ -286,7 +292,8 @@ class StudyRun:
 
     @property
     def solution(self) -> Solution:
-        """The trained policy with its value: of this run, or loaded from its folder."""
+        """The trained policy with its value, from this session or loaded from the folder of the
+        run."""
         if self.trained is None:
             self.trained = Solution.load(self.folder, like=self.setup.policy)
         return self.trained
@@ -296,7 +303,8 @@ class StudyRun:
         write_csv(self.folder / name, header, rows)
 
     def write_records(self, name: str, kind: type, records: Iterable[Any]) -> None:
-        """Dataclasses of one `kind` as such a table; a field that is None is empty."""
+        """Writes dataclasses of one `kind` as such a table; the cell of a field that is None is
+        empty."""
         names = [field.name for field in fields(kind)]
         rows = ([getattr(record, name) for name in names] for record in records)
         self.write_csv(name, names, (["" if x is None else x for x in row] for row in rows))

@@ -1,4 +1,4 @@
-"""The part of a study that trains: with a checkpoint, so that a killed run can continue."""
+"""The part of a study that trains, with a checkpoint so that a killed run can continue."""
 
 import hashlib
 from collections.abc import Iterable, Mapping, Sequence
@@ -32,7 +32,7 @@ from .study import Part, Setup, StudyRun
 def train(run: StudyRun) -> dict[str, Any]:
     """Solves the study's problem into the run folder.
 
-    **Raises:** `Interrupted` with the tables of the best policy so far, after Ctrl-C.
+    **Raises:** `Interrupted` after Ctrl-C, with the tables of the best policy so far.
     """
     setup, meanwhile = run.setup, run.study.meanwhile
     long = setup.problem.simulator.horizon > LONG  # its tables take much memory
@@ -81,7 +81,7 @@ def trained(
 
     If the run has an upper bound or an `exact` value, the possible gain is the "verdict" on the
     terminal and the first note. `advantages`: the advantages over classical rules, on the same
-    paths; a rule that does better is named in the notes, and replaces the verdict.
+    paths. If a rule is better than the policy, a note names the rule and replaces the verdict.
     """
     result = dict(run.get("solution", {}))
     if not result:
@@ -96,8 +96,8 @@ def trained(
 
 
 def _with_room(result: RunResult, left: Room) -> dict[str, Any]:
-    """Word and notes if it is known how much can be gained; next to a bound none asks for
-    more steps."""
+    """The word for convergence, and the notes, if the possible gain is available; next to a bound,
+    no note asks for more steps."""
     notes, word = result.notes, result.convergence
     if left.near:
         notes = without_advice(notes)
@@ -106,7 +106,8 @@ def _with_room(result: RunResult, left: Room) -> dict[str, Any]:
 
 
 def _beaten(advantages: Iterable[Advantage]) -> str:
-    """The rule that is furthest above the trained policy, in a sentence; empty if none is."""
+    """A sentence on the rule that is furthest above the trained policy; empty if no rule is above
+    it."""
     available = [(name, -lead, error) for name, lead, error in advantages if lead is not None]
     certain = [item for item in available if item[1] > SIGNIFICANT * (item[2] or 0.0)]
     if not certain:
@@ -114,13 +115,14 @@ def _beaten(advantages: Iterable[Advantage]) -> str:
     name, more, error = max(certain, key=lambda entry: entry[1])
     return (
         f"The classical rule “{name}” does better than the trained policy, by "
-        f"{rounded(more, 3)} {plus_minus(error or 0.0)} on the same paths: use that rule, or "
-        "train longer (training.steps)."
+        f"{rounded(more, 3)} {plus_minus(error or 0.0)} on the same paths; use this rule, or "
+        f"train longer (training.steps)."
     )
 
 
 def _keep_groups(run: StudyRun, solution: Solution) -> None:
-    """Values of independent groups of paths, and their scenarios, for comparisons."""
+    """Saves the values of independent groups of paths, and the fingerprint of their scenarios, for
+    comparisons."""
     problem = run.setup.problem
     source, simulator = problem.sources.evaluation, problem.simulator
     controls = simulator.control_variates()
@@ -131,7 +133,7 @@ def _keep_groups(run: StudyRun, solution: Solution) -> None:
 
 
 def fingerprint(source: Scenarios) -> str:
-    """A text that is the same for the same scenarios: two runs on them can be paired."""
+    """A text that is equal for equal scenarios; two runs on equal scenarios can be paired."""
     if not isinstance(source, Supplied):
         return repr(source)
     digest = hashlib.sha256(source.step_noise.tobytes())
@@ -141,7 +143,7 @@ def fingerprint(source: Scenarios) -> str:
 
 
 def _resumed(run: StudyRun, setup: Setup) -> Progress | None:
-    """The state of the checkpoint, where one is asked for and there is one; else None."""
+    """The state of the checkpoint, if it is requested and exists; else None."""
     file, training = run.folder / CHECKPOINT, setup.training
     if result := refused(setup.problem, training):
         key, why = result
@@ -161,7 +163,8 @@ def _resumed(run: StudyRun, setup: Setup) -> Progress | None:
 def load_checkpoint(file: Path, fresh: Progress, mark: str = "") -> Progress:
     """The state of training in `file`, shaped like `fresh`.
 
-    **Raises:** `CaseError` if it is damaged, of another policy, or of a run with another `mark`.
+    **Raises:** `CaseError` if it is damaged, or belongs to a different policy or to a run with a
+    different `mark`.
     """
     try:
         return checkpoint.load(file, fresh, mark)
@@ -172,7 +175,8 @@ def load_checkpoint(file: Path, fresh: Progress, mark: str = "") -> Progress:
 
 
 def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
-    """Best policy and history so far, on disk; a write that fails does not lose the run."""
+    """Writes the best policy and the history so far to disk; if writing fails, the run
+    continues."""
     if state.history:
         last = state.history[-1]
         half = half_width(last.exact_error)
@@ -190,7 +194,7 @@ def _keep(run: StudyRun, state: Progress, training: TrainingPlan) -> None:
 
 
 def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
-    """The parts with these names, and those that they need; all if none is named."""
+    """The parts with these names, and the parts that they need; all parts if there are no names."""
     if not requested:
         return list(parts)
     by_name = {part.name: part for part in parts}
@@ -205,7 +209,8 @@ def with_needs(parts: Sequence[Part], requested: Sequence[str]) -> list[Part]:
 
 
 def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[str]]:
-    """Entries of a study's `about` for a report: names of parts, `selected` and left out."""
+    """Entries in a study's `about` for a report: the names of the parts that are `selected`, and of
+    those that are omitted."""
     return {
         PLANNED: [part.name for part in selected],
         LEFT_OUT: [part.name for part in parts if part not in selected],
@@ -213,8 +218,11 @@ def summary(parts: Sequence[Part], selected: Sequence[Part]) -> dict[str, list[s
 
 
 def no_policy(out: Path, record: Mapping[str, Any]) -> CaseError:
-    """The reason why the run in a folder, with its record, has no trained policy."""
-    message = "this run has no trained policy: solve its case again, or continue with --resume"
+    """The reason why the run in a folder, with this record, has no trained policy."""
+    message = "this run has no trained policy; solve its case again, or continue with --resume"
     if TRAINING.name in entries_of(RunRecord, record).about.get(LEFT_OUT, ()):
-        message = "this run has no trained policy: its `[report] parts` leave out the training"
+        message = (
+            "this run has no trained policy, because its `[report] parts` do not include "
+            "the training"
+        )
     return CaseError(str(out), "", None, message)

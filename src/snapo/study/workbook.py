@@ -1,8 +1,8 @@
 """The tables of a run as one workbook: result.json, the CSVs, and the results of its parts.
 
-Of nested data of a part, arrays that are equally long are columns of one table; records that follow
-one another are its rows; a matrix has its rows and numbered columns; single values of a level are a
-table of two columns.
+The nested data of a part become tables. Arrays of equal length are the columns of a table, and the
+records of a list are the rows of a table. A matrix has its rows and numbered columns. The single
+values of a level are a table with two columns.
 """
 
 import csv
@@ -56,7 +56,7 @@ def write_run(run: Path) -> Path:
 
 
 def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
-    """An unused name for a sheet: as much of the path as there is room for."""
+    """An unused name for a sheet, which contains as much of the path as fits."""
     complete = re.sub(r"[\[\]:*?/\\']", " ", " ".join(path)).strip() or "table"
     used = {item.lower() for item in (*taken, "contents")}
     short = complete[:MAX_NAME].strip()
@@ -69,12 +69,12 @@ def _name(path: Sequence[str], taken: Mapping[str, Any]) -> str:
 
 
 def _floats(rows: Sequence[Sequence[Any]]) -> list[list[Any]]:
-    """Integers as in a CSV."""
+    """The rows with integers as floats, as in the rows of a CSV."""
     return [[float(x) if type(x) is int else x for x in row] for row in rows]
 
 
 def _rows(file: Path) -> Iterator[Sequence[Any]]:
-    """The rows of a CSV, numbers as numbers."""
+    """The rows of a CSV, in which numbers are converted from text."""
     with file.open(encoding="utf-8-sig", newline="") as lines:
         for i, row in enumerate(csv.reader(lines)):
             yield row if i == 0 else [_value(cell) for cell in row]
@@ -85,8 +85,9 @@ def _value(cell: str) -> Any:
 
 
 def _picture(name: str, header: Sequence[str], rows: Sequence[Sequence[Any]]) -> Picture | None:
-    """Training as a line; other tables whose first column is a label, as bars or lines of their
-    first columns of numbers; none if there are too many rows to be read."""
+    """A chart of a table: lines for the training, and bars or lines of the first columns of numbers
+    for other tables whose first column is a label. None if there are too many rows for a readable
+    chart."""
     if name == Path(run_folder.HISTORY).stem and TRAINING.y[0] in header:
         return TRAINING
     numbers = [
@@ -111,7 +112,7 @@ class SheetPart(NamedTuple):
 
 
 def tables_in(data: Mapping[str, Any], path: tuple[str, ...] = ()) -> Iterator[SheetPart]:
-    """Every table in nested plain data, the outer ones first."""
+    """Every table in nested plain data, with the outer tables first."""
     single = {key: entry for key, entry in data.items() if not isinstance(entry, Mapping | list)}
     if single:
         yield SheetPart(path, SINGLE, list(single.items()))
@@ -140,7 +141,7 @@ def _record(item: Mapping[str, Any]) -> bool:
 
 
 def _side_by_side(lists: Mapping[str, list], path: tuple[str, ...]) -> Iterator[SheetPart]:
-    """Lists of single values, those of one length in one table."""
+    """Tables of the lists of single values; lists of equal length are in one table."""
     by_length: dict[int, list[str]] = {}
     for key, item in lists.items():
         if _flat(item):
@@ -156,7 +157,7 @@ def _side_by_side(lists: Mapping[str, list], path: tuple[str, ...]) -> Iterator[
 
 
 def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[SheetPart]:
-    """Records as rows; arrays in records become separate tables."""
+    """A table with the records as rows; arrays in records become separate tables."""
     header = list(dict.fromkeys(key for row in rows for key in _plain(row)))
     if header:
         values: list[Sequence[Any]] = [[_plain(row).get(key) for key in header] for row in rows]
@@ -170,7 +171,7 @@ def _records(rows: list[Mapping[str, Any]], path: tuple[str, ...]) -> Iterator[S
 
 
 def _plain(row: Mapping[str, Any]) -> dict[str, Any]:
-    """The values of a record that a row can hold: a list of texts is joined."""
+    """The values of a record that a row can hold; a list of texts becomes one text."""
     return {
         key: "; ".join(item) if _in_words(item) else item
         for key, item in row.items()
@@ -183,7 +184,7 @@ def _in_words(value: Any) -> bool:
 
 
 def _matrix(rows: list, path: tuple[str, ...]) -> Iterator[SheetPart]:
-    """A list of lists of single values; deeper ones layer by layer."""
+    """A table of a list of lists of single values; deeper lists have a table for every layer."""
     rows = [entry if isinstance(entry, list) else [entry] for entry in rows]
     if all(_flat(row) for row in rows):
         wide = max(map(len, rows))

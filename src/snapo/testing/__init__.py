@@ -1,9 +1,9 @@
 """Tools for the tests of any domain: mistakes in cases, bumps, and small runs.
 
-- `mistakes`: every key and column of a case is spoilt in turn, and a reader must refuse it.
-- `derivatives`: the adjoint of a problem against differences on the same paths.
-- `miniature`: a case made small, its study carried out, and one run shared by many tests.
-
-Nothing here needs a test framework: functions return complaints, and a test asserts that there
-are none.
+- `mistakes`: every key and column of a case is made wrong in turn, and a reader must refuse the
+  case.
+- `derivatives`: compares the adjoint of a problem with differences on the same paths.
+- `miniature`: makes a small case and carries out its study, so that many tests can share one run.
+  Nothing here needs a test framework: functions return a list of faults, and a test asserts that it
+  is empty.
 """

@@ -1,4 +1,4 @@
-"""The adjoint of a problem against differences, as a list of complaints."""
+"""Compares the adjoint of a problem with differences; returns a list of faults."""
 
 from snapo.engine import Engine
 from snapo.problem.policy import Policy
@@ -19,7 +19,7 @@ def wrong_derivatives(
     """A line for each input whose adjoint differs from central differences. The inputs are first
     moved away from round numbers, at which two limits may be equal and two derivatives correct. The
     other arguments are those of `snapo.solver.certificate.bump_check`: without `smooth` the
-    recorded decisions are held fixed, with `every` each number is bumped separately.
+    recorded decisions are held fixed; with `every` all numbers are bumped separately.
     """
     result = bump_check(
         nudged(problem), policy, paths=paths, smooth=smooth, every=every, engine=engine

@@ -1,10 +1,11 @@
-"""Small runs of real cases: a template made small, its study carried out, and shared by tests.
+"""Small runs of real cases: makes a template small and carries out its study, so that tests can
+share the run.
 
     small = Miniature("pension", "small", ("fund.years=2", "training.steps=4"))
     run = once(session_folder / "pension", small.solve) / "run"
 
-Tests of a report, of the commands and of a run folder read a solved miniature; `once`
-makes it a single time for all processes of a test session.
+Tests of a report, of the commands and of a run folder read a solved miniature; `once` makes it only
+one time for all processes of a test session.
 """
 
 import shutil
@@ -21,8 +22,8 @@ class Miniature(NamedTuple):
     """A case small enough to be solved in seconds: a template with smaller numbers and fewer parts.
 
     - `kind`: the kind of the domain, which must be installed.
-    - `size`: the size of its template; by default that of the kind.
-    - `assignments`: keys with other values, as `snapo solve --set` takes them.
+    - `size`: the size of its template; by default the default size of the kind. - `assignments`:
+      keys with new values, written as for `snapo solve --set`.
     - `simulator`: (module, class) next to the case, for a kind that runs the user's code.
     - `texts`: returns the files of the case, {name: text}, if it is not a template.
     """
@@ -48,7 +49,7 @@ class Miniature(NamedTuple):
         return self.request(folder)
 
     def solve(self, folder: Path, **options: Any) -> dict[str, Any]:
-        """The case in `folder`/case and its run in `folder`/run; returns the result.
+        """Writes the case to `folder`/case and its run to `folder`/run; returns the result.
 
         `options` are those of `snapo.study.commands.solve`: engine, reference.
         """
@@ -60,10 +61,11 @@ def quiet(text: str) -> None:
 
 
 def once(folder: Path, make: Callable[[Path], Any]) -> Path:
-    """The folder, filled by `make(folder)` in the first process that calls; other processes wait.
+    """The folder, which `make(folder)` fills in the first process that calls this function; other
+    processes wait.
 
-    If `make` fails, its files are removed, and the next caller tries again. The lock is one of the
-    operating system, released if the process is killed (POSIX only).
+    If `make` fails, its files are removed, and the next caller tries again. The lock is a lock of
+    the operating system, which is released if the process is killed (POSIX only).
     """
     import fcntl
 

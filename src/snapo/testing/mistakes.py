@@ -1,10 +1,10 @@
-"""Every key of a case, spoilt in every common way: a reader refuses it with a clear message, or
-reads it.
+"""Makes every key of a case wrong in every common way; a reader must refuse the case with a clear
+message, or read it.
 
 `spoilt_keys` and `spoilt_files` iterate over the tables and the CSVs of a valid case, so that a new
 key is tested at once. A mistake without any valid meaning (text for a number, NaN, an unknown key)
-must be refused with a message that names its position; one that may be valid (another sign, a
-missing key) may be read, but never ends in a traceback.
+must be refused with a message that names its position; a change that may be valid (another sign, a
+missing key) may be read, but must not raise any other error.
 
     complaints = refusals(read, folder, spoilt_keys(folder), scratch)
     assert not complaints, "\\n".join(complaints)
@@ -29,13 +29,13 @@ UNKNOWN = "a_key_that_nobody_knows"
 
 @dataclass(frozen=True)
 class Mistake:
-    """One thing that is wrong with a case.
+    """One mistake in a case.
 
     **Attributes:**
 
-    - `name`: the place and the kind of mistake, "contract.inventory: text".
+    - `name`: the position and the kind of the mistake, "contract.inventory: text".
     - `spoil`: changes the parsed TOML in place, or a file of the folder.
-    - `names`: texts that the message must contain; none if the mistake may be valid.
+    - `names`: texts that the message must contain; empty if the changed case may be valid.
     """
 
     name: str
@@ -44,14 +44,15 @@ class Mistake:
 
 
 def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Path) -> list[str]:
-    """The mistakes that `read` does not handle, one line each; the list is empty if it handles all.
+    """A line for each mistake that `read` does not handle; the list is empty if it handles all of
+    them.
 
     **Arguments:**
 
     - `read`: a domain's reader, `read(file, data) -> case`.
-    - `folder`: a correct case, `case.toml` and the files next to it; it is not changed.
+    - `folder`: the folder of a correct case, which is not changed.
     - `mistakes`: the mistakes of `spoilt_keys` or `spoilt_files`.
-    - `scratch`: a folder for the spoilt copies.
+    - `scratch`: a folder for the copies with mistakes.
     """
     scratch.mkdir(parents=True, exist_ok=True)
     complaints = []
@@ -65,7 +66,7 @@ def refusals(read: Read, folder: Path, mistakes: Iterable[Mistake], scratch: Pat
 
 
 def _only_data(folder: str, names: list[str]) -> set[str]:
-    """Folders next to the case (runs) are not part of it."""
+    """Ignores folders next to the case, such as its runs, which are not part of it."""
     return {name for name in names if (Path(folder) / name).is_dir()}
 
 
@@ -112,7 +113,7 @@ def spoilt_keys(folder: Path, free: Iterable[str] = ()) -> Iterator[Mistake]:
 
 
 def _keys(path: Route, value: Any) -> Iterator[tuple[Route, Any]]:
-    """Every table, key and entry with its place, from the top down."""
+    """Every table, key and entry with its position, from the top down."""
     yield path, value
     if isinstance(value, dict):
         for key, item in value.items():
@@ -123,7 +124,7 @@ def _keys(path: Route, value: Any) -> Iterator[tuple[Route, Any]]:
 
 
 def _wrong(value: Any) -> list[tuple[str, Any, bool]]:
-    """(kind of mistake, the spoilt value, whether it is wrong in every place)."""
+    """(kind of mistake, the changed value, whether it is wrong in every position)."""
     if isinstance(value, dict | list):
         return [] if isinstance(value, dict) else [("a table for a list", {UNKNOWN: 1}, True)]
     results = [("a table", {UNKNOWN: 1}, True), ("an empty list", [], False)]
@@ -149,7 +150,8 @@ def _place(path: Route) -> str:
 
 
 def _named(path: Route) -> str:
-    """The word that a message must contain: the last key, or the key of the list."""
+    """The word that a message must contain: the last key or, for an element of a list, the key of
+    the list."""
     return str(next((item for item in reversed(path) if isinstance(item, str)), ""))
 
 
@@ -177,9 +179,8 @@ def _inside(data: Any, path: Route) -> Any:
 
 
 def spoilt_files(folder: Path, labels: Iterable[str] = ()) -> Iterator[Mistake]:
-    """Mistakes in every CSV next to the case in `folder`: in the file, its header, and each
-    column. `labels`: columns of names in which any text is valid, even a text that looks like a
-    number.
+    """Mistakes in every CSV next to the case in `folder`: in the file, its header and its columns.
+    `labels`: columns of names in which any text is valid, even a text that looks like a number.
     """
     labels = set(labels)
     for file in sorted(folder.glob("*.csv")):

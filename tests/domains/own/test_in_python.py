@@ -46,7 +46,7 @@ def test_what_a_report_needs(solution, tmp_path, monkeypatch):
     solution.save(tmp_path / "saved")
     loaded = snapo.Solution.load(tmp_path / "saved")
     for verb in (lambda: loaded.report(tmp_path / "x.html"), loaded.open):
-        with pytest.raises(ValueError, match="without its problem: pass problem=problem"):
+        with pytest.raises(ValueError, match="without its problem; pass it as problem=problem"):
             verb()
     with pytest.raises(ValueError, match="without its policy"):
         replace(loaded, policy=None).report("x.html", solution.problem)

@@ -123,7 +123,7 @@ MISTAKES = {
     "no module": (["--simulator", "nothing:Shop"], "", "", "got nothing:Shop", "no nothing.py in"),
     "no class": (["--simulator", "simulator:Stop"], "", "", "has no Stop; its classes are Shop"),
     "no simulator": (["--simulator", "simulator:jnp"], "", "", "is not a subclass of snapo.Sim"),
-    "python's own": (["--simulator", "json:Shop"], "", "", "the name of a module of Python"),
+    "python's own": (["--simulator", "json:Shop"], "", "", "Python has a module of this name"),
     "no output": (PLACE, 'output = "profit"', "", "objective.output: this key is missing"),
     "weight": (PLACE, '[objective]\n', "[[objective]]\nweight = 0\n", "objective.1.weight: got 0"),
     "utility of a cost": (
@@ -132,7 +132,7 @@ MISTAKES = {
     ),
     "no table": (PLACE, "cost = { value = 1,", "cost = 1 #", "inputs.cost: got 1; an input must be a"),
     "no number": (PLACE, "value = 1,", 'value = "1",', "inputs.cost.value: got '1'; it must be a"),
-    "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; give value ="),
+    "no value": (PLACE, "value = 1,", "", "inputs.cost.value: this key is missing; write value ="),
     "both": (PLACE, "value = 1,", 'value = 1, file = "demand.csv",', "either a value or a file"),
     "column": (PLACE, 'column = "mean"', 'column = "median"', "column median is missing"),
     "file": (PLACE, '"demand.csv"', '"demands.csv"', "there is no such file", "(there are demand.csv)"),
@@ -191,7 +191,7 @@ def test_size_and_bench_are_refused_with_a_reason(folder, capsys):
     assert main(["new", "own", str(folder), "--size", "large"]) == 2
     assert "this kind has one example only" in capsys.readouterr().err
     assert main(["bench", "own"]) == 2
-    assert "nothing of this kind is timed separately" in capsys.readouterr().err
+    assert "there are no separate times for this kind" in capsys.readouterr().err
 
 
 def test_an_unreadable_module_message_names_what_raised():

@@ -268,4 +268,4 @@ def test_a_limit_of_an_output_that_is_not_there_is_found_by_check(tmp_path, caps
 def test_references_are_refused(tmp_path, capsys):
     folder = write(tmp_path / "case")
     assert main(["solve", str(folder), *PLACE, "--reference"]) == 2
-    assert "a user-defined simulator has no references" in capsys.readouterr().err
+    assert "a user-defined simulator has no exact values" in capsys.readouterr().err

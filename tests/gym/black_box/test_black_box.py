@@ -78,7 +78,7 @@ def test_what_cannot_be_learnt_is_refused_with_a_remedy():
     for name, space, told in (
         ("action_space", discrete, r"action space is Discrete\(2\).*ActionWrapper"),
         ("observation_space", discrete, r"observation space is Discrete.*FlattenObservation"),
-        ("action_space", unbounded, "finite low and high"),
+        ("action_space", unbounded, "finite bounds low and high"),
     ):
         environment = Counter()
         setattr(environment, name, space)

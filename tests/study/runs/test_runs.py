@@ -153,7 +153,7 @@ def test_two_processes_do_not_write_into_one_run(case, tmp_path, capsys):
     one = solve(case)
     with locked(one / store.LOCK):
         assert main(["solve", str(case), "--resume"]) == 2
-        assert "another process works on this run" in capsys.readouterr().err
+        assert "another process is working on this run" in capsys.readouterr().err
         assert main(["runs", str(case), "--remove", one.name]) == 2
         assert "stop it first" in capsys.readouterr().err
         assert main(["runs", str(case)]) == 0

@@ -9,7 +9,7 @@ SIZES = (
 
 DOMAIN = Kind(
     "control",
-    "a plant to be controlled: pendulum, cart and pole, tanks, a linear plant …",
+    "a plant to control: pendulum, cart and pole, tanks, a linear plant …",
     __name__,
     {size: f"template/{size}" for size in SIZES},
     reader="read:read_case",

@@ -1,5 +1,5 @@
-"""The inputs of a plant: parameters, weights, initial state and disturbances, each with its
-unit."""
+"""Makes the inputs of a plant: parameters, weights, initial state and disturbances, with their
+units."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any
@@ -25,12 +25,12 @@ def make_inputs(
     noise: Mapping[str, Any] | None = None,
     measurement: Mapping[str, Any] | None = None,
 ) -> PlantInputs:
-    """The inputs {"plant", "cost", "start", "noise", "measurement"} of a plant, by default its own
-    numbers.
+    """The inputs of a plant by group: "plant", "cost", "start", "noise" and "measurement". Groups
+    that are omitted have the default numbers of the plant.
 
     - `start`: {state: {"at"}, {"low", "high"} or {"mean", "deviation"}}.
-    - `noise`: {state: standard deviation of a step's disturbance}; instead of a number also a
-      matrix that multiplies normals, or one matrix for every step.
+    - `noise`: {state: standard deviation of the disturbance in a step}. A matrix that multiplies
+      standard normals, or one such matrix for every step, may replace the number.
     - `measurement`: {state: standard deviation of its measurement error}.
 
     **Raises:** `KeyError` for a name that the plant does not have.
@@ -44,7 +44,10 @@ def make_inputs(
                 f"{plant.type}: there is no state {sorted(unknown)}; the states are {available}."
             )
     if defaulted := [name for name, item in starts.items() if not item]:
-        raise KeyError(f"{plant.type}: give the start of {', '.join(defaulted)}.")
+        raise KeyError(
+            f"{plant.type}: there is no default start for {', '.join(defaulted)}; "
+            f"specify it in `start`."
+        )
     return {
         "plant": _each(plant.type, plant.parameters, parameters or {}, "plant"),
         "cost": _each(plant.type, plant.weights, cost or {}, "cost"),
@@ -92,7 +95,7 @@ def _start(state: Variable, values: Mapping[str, Any]) -> dict[str, Input]:
 
 
 def _noise(state: Variable, value: Any) -> Input:
-    text = f"standard deviation of a step's disturbance of the {state.description}"
+    text = f"standard deviation of the disturbance of the {state.description} in a step"
     return Input(value, state.unit, meaning=text, group="disturbance", move=_move(value))
 
 
@@ -102,12 +105,13 @@ def _error(state: Variable, value: Any) -> Input:
 
 
 def _move(value: Any) -> float | None:
-    """Zero has no percent: it moves by 0.01 of the unit."""
+    """The standard move of a number; a number of zero moves by 0.01 units instead of a
+    percentage."""
     return 0.01 if not np.any(value) else None
 
 
 def flat(inputs: Mapping[str, Any]) -> Iterator[tuple[str, Any]]:
-    """(name, input) of a group, "angle.mean" within a state."""
+    """The pairs (name, input) of a group; inputs within a state have names such as "angle.mean"."""
     for key, entry in inputs.items():
         if isinstance(entry, Mapping):
             yield from ((f"{key}.{name}", input_) for name, input_ in flat(entry))

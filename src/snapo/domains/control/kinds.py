@@ -1,6 +1,7 @@
 """The descriptions of the kinds of plants: parameters, weights, states and actions with units.
 
-A case is read and checked with the description; the equations are in `plants/`, a class for each.
+The description is enough to read and check a case; the equations are in `plants/`, with a class for
+each kind.
 """
 
 import math
@@ -40,6 +41,7 @@ class Variable(NamedTuple):
 
 
 MEASURED = "measurement"  # key of the errors in the inputs, and of the readings in a state
+SCALAR = "it must be one number, because this state is one number"
 STARTS = (("at",), ("low", "high"), ("mean", "deviation"))  # a number; uniform; normal
 
 
@@ -60,25 +62,25 @@ class PlantKind:
 
     @classmethod
     def faults(cls, values: Mapping[str, Any]) -> Iterator[tuple[str, Any, str]]:
-        """Contradictions in a case: (key, value, allowed). `values`: in the form of the inputs."""
+        """The contradictions in a case: (key, value, allowed). `values`: the numbers, grouped like
+        the inputs."""
         for name, start in values["start"].items():
             if np.size(any_of(start)) > 1:
-                message = "this state is one number"
-                yield f"start.{name}", any_of(start).tolist(), message
+                yield f"start.{name}", any_of(start).tolist(), SCALAR
         for group in ("noise", MEASURED):
             for name, inputs in values[group].items():
                 if np.ndim(inputs):
-                    yield f"{group}.{name}", inputs.tolist(), "this state is one number"
+                    yield f"{group}.{name}", inputs.tolist(), SCALAR
 
 
 def any_of(values: PlantValues) -> Any:
-    """One of the arrays of a distribution; all have the shape of the state."""
+    """One of the arrays of a distribution, all of which have the shape of the state."""
     result = next(iter(values.values()))
     return getattr(result, "value", result)
 
 
 class PendulumKind(PlantKind):
-    """A rod on a motor."""
+    """A rod that is driven by a motor."""
 
     type: ClassVar = "pendulum"
     description: ClassVar = "Pendulum-v1: swing up a rod and hold it upright"
@@ -131,7 +133,7 @@ class MountainCarKind(PlantKind):
         "position": Variable("1", "position", {"low": -0.6, "high": -0.4}),
         "speed": Variable("1/step", "speed", {"at": 0.0}),
     }
-    actions: ClassVar = {"action": Variable("1", "share of the engine's power")}
+    actions: ClassVar = {"action": Variable("1", "action as a share of the engine's power")}
 
     @classmethod
     def faults(cls, values):
@@ -190,7 +192,7 @@ class DoubleIntegratorKind(PlantKind):
         "position": PlantParameter(1.0, "1/m2", "weight of the squared position", False),
         "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
         "force": PlantParameter(0.1, "1/N2", "weight of the squared force", False),
-        "final": PlantParameter(1.0, "1", "weight of the last state", False),
+        "final": PlantParameter(1.0, "1", "weight of the terminal state", False),
     }
     states: ClassVar = {
         "position": Variable("m", "position", {"mean": 1.0, "deviation": 0.5}),
@@ -200,21 +202,21 @@ class DoubleIntegratorKind(PlantKind):
 
 
 class LinearQuadraticKind(PlantKind):
-    """Matrices of a case."""
+    """A linear plant whose matrices are in the case."""
 
     type: ClassVar = "linear-quadratic"
     description: ClassVar = "a linear plant with a quadratic cost, with or without bounds"
     steps: ClassVar = 20
     sees_time: ClassVar = True
     parameters: ClassVar = {
-        "A": PlantParameter(None, "1", "from state to state", False),
-        "B": PlantParameter(None, "1", "from action to state", False),
-        "limit": PlantParameter(math.inf, "1", "largest size of an action"),
+        "A": PlantParameter(None, "1", "matrix from the state to the next state", False),
+        "B": PlantParameter(None, "1", "matrix from the action to the next state", False),
+        "limit": PlantParameter(math.inf, "1", "largest absolute value of an action"),
     }
     weights: ClassVar = {
-        "Q": PlantParameter(None, "1", "weights of the state", False),
-        "R": PlantParameter(None, "1", "weights of the action", False),
-        "Q_T": PlantParameter(None, "1", "weights of the last state", False),
+        "Q": PlantParameter(None, "1", "weight matrix of the state", False),
+        "R": PlantParameter(None, "1", "weight matrix of the action", False),
+        "Q_T": PlantParameter(None, "1", "weight matrix of the terminal state", False),
     }
     states: ClassVar = {"x": Variable("1", "state")}
     actions: ClassVar = {"u": Variable("1", "action")}
@@ -267,8 +269,8 @@ class TwoTanksKind(PlantKind):
     steps: ClassVar = 60
     parameters: ClassVar = {
         "area": PlantParameter(15.0, "cm2", "cross section of a tank"),
-        "upper": PlantParameter(0.18, "cm2", "outlet of the upper tank"),
-        "lower": PlantParameter(0.18, "cm2", "outlet of the lower tank"),
+        "upper": PlantParameter(0.18, "cm2", "cross section of the upper tank's outlet"),
+        "lower": PlantParameter(0.18, "cm2", "cross section of the lower tank's outlet"),
         "gravity": PlantParameter(981.0, "cm/s2", "gravity"),
         "flow": PlantParameter(40.0, "cm3/s", "largest flow of the pump"),
         "height": PlantParameter(30.0, "cm", "height of a tank"),
@@ -276,9 +278,11 @@ class TwoTanksKind(PlantKind):
         "step": PlantParameter(2.0, "s", "time step"),
     }
     weights: ClassVar = {
-        "level": PlantParameter(0.01, "1/cm2", "weight of the squared distance to the level",
+        "level": PlantParameter(0.01, "1/cm2", "weight of the squared distance from the target "
+        "level",
                           False),
-        "pump": PlantParameter(0.02, "1", "weight of the squared change of the pump from its rest",
+        "pump": PlantParameter(0.02, "1", "weight of the squared change of the pump's flow from "
+        "its flow at rest",
                           False),
     }  # fmt: skip
     states: ClassVar = {
@@ -311,17 +315,21 @@ class QuadrotorKind(PlantKind):
     parameters: ClassVar = {
         "mass": PlantParameter(0.5, "kg", "mass"),
         "inertia": PlantParameter(0.002, "kg m2", "moment of inertia"),
-        "arm": PlantParameter(0.15, "m", "distance of a rotor from the middle"),
+        "arm": PlantParameter(0.15, "m", "distance of a rotor from the centre"),
         "gravity": PlantParameter(9.81, "m/s2", "gravity"),
         "thrust": PlantParameter(4.905, "N", "largest thrust of a rotor"),
         "step": PlantParameter(0.03, "s", "time step"),
     }
     weights: ClassVar = {
-        "place": PlantParameter(1.0, "1/m2", "weight of the squared distance to the target", False),
+        "place": PlantParameter(
+            1.0, "1/m2", "weight of the squared distance from the target", False
+        ),
         "speed": PlantParameter(0.1, "s2/m2", "weight of the squared speed", False),
         "tilt": PlantParameter(0.1, "1/rad2", "weight of the squared tilt", False),
         "spin": PlantParameter(0.01, "s2/rad2", "weight of the squared spin", False),
-        "thrust": PlantParameter(0.1, "1", "weight of the squared distance to hovering", False),
+        "thrust": PlantParameter(
+            0.1, "1", "weight of the squared difference from the thrust of hovering", False
+        ),
     }
     states: ClassVar = {
         "x": Variable("m", "position to the right", {"mean": 0.0, "deviation": 1.0}),

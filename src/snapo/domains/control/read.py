@@ -1,5 +1,5 @@
-"""From the tables of a case to the plant and its inputs; every mistake is a `CaseError`. The tables
-of a plant are made from its description.
+"""Reads the tables of a case into a plant and its inputs; every mistake is a `CaseError`. The
+tables of a plant are made from its description.
 """
 
 import math
@@ -40,23 +40,23 @@ PositiveOrNone = Annotated[float, Field(gt=0)] | None
 
 
 def _whole_number(meaning: str, low: int, high: int, note: str) -> Any:
-    """An optional key for a whole number from `low` to `high`."""
+    """An optional key whose value is a whole number from `low` to `high`."""
     return doc(meaning, None, f"a whole number from {low} to {high:,}{note}", ge=low, le=high)
 
 
 class ControlFile(CaseTable):
-    """The whole file; the tables in it are read by their own records."""
+    """The whole file; the tables in it are read as records of other classes."""
 
     kind: str = doc("kind of the case")
     title: Title = ""
     plant: dict[str, Any] = doc("plant and its parameters", allowed="a table, [plant]")
-    cost: dict[str, Any] = doc("weights of the costs of a step", {}, "a table, [cost]")
+    cost: dict[str, Any] = doc("weights of the parts of the cost of a step", {}, "a table, [cost]")
     start: dict[str, Any] = doc("initial states", {}, "a table, [start]")
     noise: dict[str, Any] = doc(
-        "standard deviations of the disturbance of a step, by state", {}, "a table, [noise]"
+        "standard deviations of the disturbances in a step, by state", {}, "a table, [noise]"
     )
     measurement: dict[str, Any] = doc(
-        "standard deviations of the measurement errors, by state", {}, "a table, [measurement]"
+        "standard deviations of the errors of measurement, by state", {}, "a table, [measurement]"
     )
     policy: dict[str, Any] = doc("network of the policy", {}, "a table, [policy]")
     report: ReportKey
@@ -66,7 +66,7 @@ class ControlFile(CaseTable):
 
 
 class ControlPolicyTable(CaseTable):
-    """`[policy]`: the network."""
+    """`[policy]`: the network of the policy."""
 
     hidden: Widths | None = doc(
         "widths of the hidden layers",
@@ -75,13 +75,13 @@ class ControlPolicyTable(CaseTable):
     )
     memory: Literal["GRU", "Recent"] | None = doc(
         "memory of earlier observations", None,
-        '"GRU" (a recurrent network), "Recent" (the last observations), or no such key',
+        '"GRU" (a recurrent network) or "Recent" (the last observations); or omit the key',
     )  # fmt: skip
     steps: int | None = _whole_number(
         "number of last observations that the policy remembers",
         2,
         1000,
-        ', the number of observations with memory = "Recent"',
+        ', the number of observations in a memory of type "Recent"',
     )
 
 
@@ -154,7 +154,9 @@ class NormalStart(CaseTable):
 
 FORMS = "a table: { at = 1 }, { low = -1, high = 1 } or { mean = 0, deviation = 1 }"
 RANGES = (  # outside of which a number is likely to be in another unit
-    Plausible(0.0, 25.2, "an angle is in radians, 180 degrees are 3.14", unit="rad", by_size=True),
+    Plausible(
+        0.0, 25.2, "an angle is in radians; 180 degrees are 3.14 rad", unit="rad", by_size=True
+    ),
     Plausible(0.0, 1e3, "an angular speed is in radians per second", unit="rad/s", by_size=True),
     Plausible(0.5, 30.0, "on Earth it is 9.81 m/s2", unit="m/s2", endings=("gravity",)),
     Plausible(1e-6, 1e4, "1 ms is 0.001 s", unit="s"),
@@ -162,8 +164,8 @@ RANGES = (  # outside of which a number is likely to be in another unit
     Plausible(1e-4, 1e6, "1 g is 0.001 kg", unit="kg"),
 )
 BLIND = (
-    "States are measured with errors, and the policy has no memory of earlier ones: "
-    '`[policy] memory = "GRU"` adds one.'
+    "States are measured with errors, but the policy has no memory of earlier measurements; "
+    '`[policy] memory = "GRU"` adds a memory.'
 )
 
 
@@ -183,7 +185,7 @@ def formats() -> dict[str, Any]:
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
-    """Reads all tables, then checks whether their numbers fit together."""
+    """Reads all tables, then checks that their numbers are consistent."""
     table, name = parse(ControlFile, data, str(file), ""), str(file)
     plant = _plant(table.plant, name)
     selected = parse(plant_table(plant), table.plant, name, "plant")
@@ -229,7 +231,8 @@ def read_case(file: Path, data: Mapping[str, Any]) -> ControlCase:
 
 
 def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[tuple[str, tuple]]:
-    """(name, positions of its numbers) of the inputs, except a start that the case omits."""
+    """The pairs (name of an input, positions of its numbers); a start that the case omits has no
+    entry."""
     for group, entries in inputs.items():
         for name, entry in flat(entries):
             first, *rest = name.split(".")
@@ -246,10 +249,10 @@ def _positions(data: Mapping[str, Any], inputs: Mapping[str, Any]) -> Iterator[t
 
 def _check_policy(table: ControlPolicyTable, name: str) -> None:
     if table.steps is not None and table.memory != "Recent":
-        message = 'only memory = "Recent" has a number of steps'
+        message = 'only memory = "Recent" has this number of observations'
         raise CaseError(name, "policy.steps", table.steps, message)
     if table.memory == "GRU" and table.hidden is not None and len(table.hidden) != 1:
-        message = 'a "GRU" has one layer: it must be a list of one width, [16], or no value'
+        message = 'a "GRU" has one layer; write a list of one width, such as [16], or omit the key'
         raise CaseError(name, "policy.hidden", table.hidden, message)
 
 
@@ -269,7 +272,7 @@ def _given(values: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _values(inputs: Mapping[str, Any]) -> dict[str, Any]:
-    """Plain arrays instead of inputs."""
+    """The inputs as plain arrays."""
     if not isinstance(inputs, Mapping):
         return np.asarray(inputs.value)  # pyright: ignore[reportReturnType]
     return {key: _values(item) for key, item in inputs.items()}
@@ -284,7 +287,7 @@ def _words(objective: ObjectiveTable) -> str:
 
 
 def read_starts(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """{state: {"at"}, {"low", "high"} or {"mean", "deviation"}} of the states that are named."""
+    """{state: {"at"}, {"low", "high"} or {"mean", "deviation"}} of the states in the table."""
     _known(plant, data, name, "start")
     starts = {key: _start(value, name, f"start.{key}") for key, value in data.items()}
     for key, state in plant.states.items():
@@ -295,9 +298,8 @@ def read_starts(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> d
 
 
 def read_noise(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """{state: standard deviations of a step's disturbance} for the states in the table.
-
-    For a state of several numbers: a list, or the rows of a matrix that multiplies normals.
+    """{state: standard deviations of the disturbance in a step} for the states in the table. A
+    state of several numbers has a list, or the rows of a matrix that multiplies standard normals.
     """
     _known(plant, data, name, "noise")
     matrices = {}
@@ -310,14 +312,15 @@ def read_noise(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> di
 
 
 def read_measurement(plant: type[PlantKind], data: Mapping[str, Any], name: str) -> dict[str, Any]:
-    """{state: standard deviations of the errors with which it is seen} of the states named."""
+    """{state: standard deviations of its measurement errors} for the states in the table."""
     _known(plant, data, name, "measurement")
     numbers = {}
     for key, value in data.items():
         numbers[key] = _numbers(value, name, f"measurement.{key}")
         if numbers[key].ndim > 1 or np.any(numbers[key] < 0):
             message = (
-                "it must be a standard deviation of at least 0, or a list with one for each number"
+                "it must be a standard deviation of at least 0, or a list with one for each "
+                "number of the state"
             )
             raise CaseError(name, f"measurement.{key}", value, message)
     return numbers
@@ -347,7 +350,9 @@ def _start(value: Any, name: str, where: str) -> dict[str, Any]:
     if isinstance(read, UniformStart) and not read.low < read.high:
         raise CaseError(name, f"{where}.high", read.high, f"it must be a number above {read.low:g}")
     if isinstance(read, NormalStart) and np.any(numbers["deviation"] <= 0):
-        message = "it must be numbers above 0; an initial state without spread is { at = 1 }"
+        message = (
+            "all its numbers must be above 0; for an initial state without spread write { at = 1 }"
+        )
         raise CaseError(name, f"{where}.deviation", value["deviation"], message)
     return numbers
 
@@ -359,7 +364,17 @@ def _numbers(value: Any, name: str, where: str) -> np.ndarray:
     except ValueError:
         raise CaseError(name, where, value, "all rows must have the same length") from None
     if result.dtype.kind not in "fi" or result.ndim > 2 or not result.size:
-        raise CaseError(name, where, value, "it must be numbers, a list or rows of them")
+        raise CaseError(
+            name,
+            where,
+            value,
+            "it must be a number, a list of numbers, or a list of rows of numbers",
+        )
     if not np.all(np.isfinite(result)) or np.max(np.abs(result)) > LARGEST:
-        raise CaseError(name, where, value, f"it must be finite numbers of at most {LARGEST:g}")
+        raise CaseError(
+            name,
+            where,
+            value,
+            f"its numbers must be finite and at most {LARGEST:g} in absolute value",
+        )
     return result.astype(np.float64)

@@ -14,11 +14,12 @@ from .kinds import PlantKind
 
 @dataclass(frozen=True, eq=False)
 class ControlCase:
-    """All that a study needs: the plant with its inputs, the objective, and how it is trained.
+    """All that a study needs: the plant with its inputs, the objective, and the settings of
+    training.
 
     - `kind`: the kind of the plant; `horizon`, `timer`: the number of steps, and whether the policy
-      sees how many are left; None for the default of the kind.
-    - `hidden`, `memory`, `window`: the keys of `[policy]` for the trained network.
+      sees how many steps are left; None means the default of the kind.
+    - `hidden`, `memory`, `window`: the keys of `[policy]`, which describe the trained network.
     - `objective_words`: the objective as text, "mean reward".
     - `positions`: {input: the positions of its numbers in the file}.
     """
@@ -41,5 +42,5 @@ class ControlCase:
 
 
 def unit(text: str) -> str:
-    """A unit, or the text for a pure number."""
+    """The unit as text; a pure number has a text instead of "1"."""
     return "a pure number" if text in ("", "1") else text

@@ -1,9 +1,9 @@
 """The best linear rule of a linear plant with a quadratic cost, in closed form.
 
-P_T = Q_T, K_t = (R + B'P_{t+1} B)^-1 (B'P_{t+1} A + N'),
-P_t = Q + A'P_{t+1} A - (A'P_{t+1} B + N) K_t for the cost
-x'Q x + 2 x'N u + u'R u; from x it costs x'P_0 x + sum trace(P_{t+1} W_t) with the covariances W_t
-of the disturbances (Bertsekas, Dynamic Programming and Optimal Control, section 3.1).
+P_T = Q_T, K_t = (R + B'P_{t+1} B)^-1 (B'P_{t+1} A + N'), P_t = Q + A'P_{t+1} A - (A'P_{t+1} B + N)
+K_t for the cost x'Q x + 2 x'N u + u'R u; the mean cost from x is x'P_0 x + sum trace(P_{t+1} W_t),
+where W_t is the covariance of the disturbances (Bertsekas, Dynamic Programming and Optimal Control,
+section 3.1).
 """
 
 from collections.abc import Mapping
@@ -42,7 +42,7 @@ class Riccati(NamedTuple):
 
 
 def riccati(plant: Linearised, steps: int) -> Riccati:
-    """The recursion, from the end."""
+    """Solves the Riccati recursion backwards from the end."""
     A, B, Q, R, N, last = plant
     costs, gains = [last], []
     for _ in range(steps):
@@ -63,9 +63,8 @@ def expected_cost(costs: Riccati, mean, covariance, shocks) -> float:
 
 
 def linearised(plant: Plant, p: PlantValues, w: PlantValues) -> Linearised:
-    """The plant around its target and the action that holds it, in float64.
-
-    States in the order of their names, as a vector.
+    """Linearises the plant around its target and the action that holds it there, in float64. The
+    states are a vector in the order of their names.
     """
     with jax.enable_x64(True):
         target = {name: jnp.asarray(x, float) for name, x in plant.target_at(p).items()}
@@ -100,7 +99,7 @@ def estimation_cost(
     shocks: Float[np.ndarray, "*T n n"],
     errors: Float[np.ndarray, "n n"],
 ) -> float:
-    """The additional mean cost of measurement noise.
+    """The additional mean cost that measurement noise causes.
 
     `start`, `shocks`, `errors`: covariances of the initial state, of disturbances and of
     measurement errors, all of which are normal.

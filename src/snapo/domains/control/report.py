@@ -29,7 +29,7 @@ MENU = {
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
-    """The lines under the title."""
+    """The lines below the title of the report."""
     steps = f"{number(run.get('horizon'), 0)} steps"
     objective = str(run.get("objective", ""))
     return [("Plant", str(run.get("plant_words", ""))), ("Horizon", steps),

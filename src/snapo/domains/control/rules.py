@@ -1,4 +1,5 @@
-"""Classical rules to compare with a trained policy: none, proportional, linear regulator."""
+"""Classical rules to compare with a trained policy: no action, a proportional controller, a linear
+regulator."""
 
 import equinox as eqx
 import jax
@@ -20,7 +21,7 @@ from .regulator import linearised, riccati
 class LinearFeedback(Policy):
     """u = rest - K (state - target), clipped to the plant's limits.
 
-    - `gains`: [T, m, n] one matrix for each step, if the observation shows the time that is left;
+    - `gains`: [T, m, n] one matrix for every step if the observation shows the remaining time, or
       else [1, m, n]. The states are a vector in the order of their names.
     - `numbers`: the numbers of the plant; `target` [n]; `rest`, `unit` [m]: u = rest + unit x
       action.
@@ -81,6 +82,7 @@ def classical_rules(plant: Plant, inputs) -> dict[str, Policy]:
 
 
 def regulator(plant: Plant, p: PlantValues, w: PlantValues) -> np.ndarray:
-    """Riccati's gains around the target: one for each step, or the first if time is unobserved."""
+    """The Riccati gains around the target: a matrix for every step, or only the first if the policy
+    does not observe time."""
     gains = riccati(linearised(plant, p, w), plant.horizon).K
     return gains if plant.time_feature else gains[:1]

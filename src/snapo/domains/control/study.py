@@ -1,4 +1,5 @@
-"""The run of a controlled plant: training, classical rules, closed form, maps of the policy."""
+"""The run of a controlled plant: training, classical rules, the optimum in closed form, and maps of
+the policy."""
 
 from dataclasses import replace
 from typing import Any
@@ -38,10 +39,10 @@ WINDOW = 4  # default number of observations in a policy with memory = "Recent"
 
 
 def units(plant: Plant) -> dict[str, str]:
-    """{state or action: unit}; an action is shown as the share of its limit, as in training."""
+    """{state or action: unit}; an action is shown as a share of its limit, as in training."""
     table = {name: state.unit for name, state in plant.states.items() if state.unit != "1"}
     table |= {f"{MEASURED}.{name}": table[name] for name in plant.measured if name in table}
-    return table | {"action": "share of its limit"} if _bounded(plant) else table
+    return table | {"action": "share of the limit"} if _bounded(plant) else table
 
 
 def _bounded(plant: Plant) -> bool:
@@ -49,7 +50,8 @@ def _bounded(plant: Plant) -> bool:
 
 
 def study(case: ControlCase, options: Options) -> Study:
-    """Training, distribution, fans, moves, classical rules, the plane of states, certificate."""
+    """The parts of a run: training, distribution, fans, moves, classical rules, plane of states,
+    certificate."""
     setup = make_setup(case, options.engine)
     plant = setup.problem.simulator
     assert isinstance(plant, Plant)
@@ -87,7 +89,7 @@ def study(case: ControlCase, options: Options) -> Study:
 
 
 def _result(run: StudyRun) -> dict[str, Any]:
-    """The trained policy compared with the best rule, the closed form and the real environment."""
+    """Compares the trained policy with the best rule, the optimum in closed form and Gymnasium."""
     baselines, played = BASELINES.of(run), GYMNASIUM.of(run)
     rules = baselines.rivals if baselines else ()
     references = {rule.name: rule.value for rule in rules}
@@ -108,7 +110,7 @@ def objective_of(case: ControlCase) -> Objective:
 
 
 def recipe(case: ControlCase) -> Policy:
-    """The policy that is trained, with or without a memory."""
+    """The recipe of the policy to train, with or without a memory."""
     if case.memory == "Recent":
         return LastObservations(case.window or WINDOW, MLP(hidden=case.hidden))
     if case.memory is None:
@@ -129,7 +131,7 @@ def make_setup(case: ControlCase, engine: str) -> Setup:
 def setup_at(setup: Setup, case: ControlCase) -> Setup:
     """The setup of a case that differs only in the numbers of its inputs.
 
-    Nothing is compiled if the case has the same form.
+    If the case has the same form, nothing is compiled.
     """
     problem = replace(setup.problem, simulator=plant_at(case), inputs=case.inputs)
     if problem.form != setup.problem.form:
@@ -138,7 +140,7 @@ def setup_at(setup: Setup, case: ControlCase) -> Setup:
 
 
 def today(setup: Setup, policy: Policy) -> Today:
-    """The physical action of the first step, from the mean of the initial state."""
+    """The physical action of the first step, at the mean of the initial state."""
     plant, schedule = setup.problem.simulator, setup.problem.schedule
     assert isinstance(plant, Plant)
     start = schedule.constants["start"]
@@ -167,5 +169,5 @@ def _middle(start: dict[str, Any], keys: tuple[str, ...]) -> np.ndarray:
 
 
 def _one(value: np.ndarray, unit: str) -> tuple[float | None, str]:
-    """A number with its unit; nothing of a state of several numbers."""
+    """A number with its unit; the number is None for a state of several numbers."""
     return (float(value) if np.size(value) == 1 else None), "" if unit == "1" else unit

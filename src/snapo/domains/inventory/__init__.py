@@ -1,4 +1,4 @@
-"""Inventories: orders under random demand, of an item or of a network of places."""
+"""Inventories: orders under random demand, for one item or for a network of places."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True, eq=False)
 class Inventory(Kind):
-    """Cases of an item, and of a network, which has `[[place]]`."""
+    """Cases of one item, and cases of a network, which have tables `[[place]]`."""
 
     def read(self, file: Path, data: Mapping[str, Any]) -> "Case":
         network = "place" in data

@@ -20,14 +20,13 @@ from .chapters.service import headline
 
 
 def decisions(run: RunFiles) -> Section:
-    """The rule of an item; the places of a network."""
+    """The section on decisions: the rule of an item, or the places of a network."""
     return PLACES(run) if CaseSummary.of(run).network else LEVELS(run)
 
 
 def of_its_period(run: RunFiles, series: BandSeries) -> float:
-    """The factor that converts an output of a run to one per period.
-
-    A discounted cost has no part of a mean.
+    """The factor that converts an output of a run to one per period; a discounted cost has no such
+    factor.
     """
     case = CaseSummary.of(run)
     mean = series.unit.endswith(f"/{case.step}")
@@ -49,12 +48,12 @@ MENU = {
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
-    """The lines under the title."""
+    """The lines below the title of the report."""
     case = CaseSummary.of(run)
     lead = "" if case.network else counted(case.lead_time or 0, case.step)
     unmet = "lost" if case.lost else "delivered later"
     horizon = f"{counted(case.counted, case.step)} after {number(case.warm_up, 0)} of warm-up"
-    return [("Demand", case.demand), ("Without stock", f"demand is {unmet}"),
+    return [("Demand", case.demand), ("Unmet demand", unmet),
             ("Lead time", lead), ("Horizon", horizon)]  # fmt: skip
 
 

@@ -41,7 +41,7 @@ def make_setup(case: AnyCase, engine: EngineName = "auto") -> Setup:
 def setup_at(setup: Setup, case: AnyCase) -> Setup:
     """The setup of a case that differs only in the numbers of its inputs: `make_setup(case)`.
 
-    Nothing is compiled if the case has the same form.
+    If the case has the same form, nothing is compiled.
     """
     problem = replace(setup.problem, simulator=simulator_of(case), inputs=case.inputs())
     if problem.form != setup.problem.form:
@@ -51,7 +51,7 @@ def setup_at(setup: Setup, case: AnyCase) -> Setup:
 
 
 def simulator_of(case: AnyCase) -> InventorySimulator | NetworkSimulator:
-    """The simulator of an item, or that of a network."""
+    """The simulator of an item or of a network."""
     if isinstance(case, NetworkCase):
         return NetworkSimulator.of(case)
     return InventorySimulator.of(case)
@@ -70,9 +70,10 @@ def first_policy(problem: Problem, case: AnyCase, seed: int) -> OrderUpTo | Eche
 
 
 def first_batch(case: InventoryCase) -> tuple[float, float]:
-    """How far S is above and s below the base-stock level, in standard deviations of demand. With
-    an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its cycles. On average
-    an order is placed half a period's demand too late, so S = s + Q minus half a period's demand.
+    """The distance of S above and of s below the base-stock level, in standard deviations of
+    demand. With an economic lot Q, stock runs short in the share h Q / (p mean + h Q) of its
+    cycles. When an order is placed, the position is on average half a period's demand below s, so S
+    = s + Q minus half a period's demand.
     """
     item, mean, deviation = case.item, mean_demand(case), usual_deviation(case)
     lot, half = economic_lot(case), mean / 2
@@ -85,12 +86,12 @@ def first_batch(case: InventoryCase) -> tuple[float, float]:
 
 
 def case_of(setup: Setup) -> InventoryCase:
-    """The prepared item."""
+    """The case of a prepared item."""
     assert isinstance(setup.case, InventoryCase)
     return setup.case
 
 
 def network_of(setup: Setup) -> NetworkCase:
-    """The prepared network."""
+    """The case of a prepared network."""
     assert isinstance(setup.case, NetworkCase)
     return setup.case

@@ -22,9 +22,13 @@ from .setup import AnyCase, make_setup, setup_at
 
 
 def study(case: AnyCase, options: Options) -> Study:
-    """Training, service and costs, an item's rule, other rules, moves, lead time, outputs."""
+    """The parts of a run: training, service and costs, the rule of an item, classical rules, moves,
+    lead time, outputs."""
     if options.reference:
-        allowed = "an inventory has no references to compute; its baselines are in every run"
+        allowed = (
+            "an inventory has no exact values to compute; every run compares the rule with "
+            "classical rules"
+        )
         raise CaseError("--reference", "", None, allowed)
     is_network, setup = isinstance(case, NetworkCase), make_setup(case, options.engine)
     if is_network:
@@ -55,7 +59,7 @@ def study(case: AnyCase, options: Options) -> Study:
 
 
 def _result(run: StudyRun) -> dict[str, Any]:
-    """The headline: the value of the trained rule, and those of the classical ones."""
+    """The headline: the values of the trained rule and of the classical rules."""
     results = BASELINES.of(run)
     rules = results.rivals[1:] if results else ()
     # A non-finite difference is None in the files of a run.

@@ -15,7 +15,7 @@ from .network.records import NetworkCase
 
 
 def lines(case: InventoryCase | NetworkCase) -> list[str]:
-    """The case in a few lines: nothing is trained."""
+    """The case in a few lines; nothing is trained."""
     describe = _network_lines if isinstance(case, NetworkCase) else _item_lines
     last = inputs_line([entry.value.size for entry in case.inputs().values()])
     return [*describe(case), last]  # pyright: ignore[reportArgumentType]
@@ -32,10 +32,12 @@ def _item_lines(case: InventoryCase) -> list[str]:
     level = float(with_numpy(base_stock)(mean, deviation, safety)[case.warm_up])
     return [
         f"{case.title}: {_periods(case)}",
-        f"demand of a {case.period}: {case.demand.describe()}; without stock it is {unmet}",
-        f"an order arrives after {counted(item.lead_time, case.period)}; {integers} numbers of "
+        f"demand of a {case.period}: {case.demand.describe()}; demand that exceeds the stock "
+        f"{unmet}",
+        f"an order arrives after {counted(item.lead_time, case.period)}; orders are {integers} "
+        f"numbers of "
         f"{plural(case.unit)}",
-        f"base-stock level to start from: {counted(level, case.unit)}",
+        f"initial base-stock level: {counted(level, case.unit)}",
     ]
 
 
@@ -68,5 +70,5 @@ def _network_lines(case: NetworkCase) -> list[str]:
 
 
 def _periods(case: InventoryCase | NetworkCase) -> str:
-    after = f", after a warm-up of {case.warm_up} that do not count" if case.warm_up else ""
+    after = f", after {case.warm_up} for the warm-up, which do not count" if case.warm_up else ""
     return f"{counted(case.periods, case.period)}{after}"

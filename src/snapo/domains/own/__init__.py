@@ -1,4 +1,4 @@
-"""The domain of user-defined simulators: the same commands, resume and report as any other.
+"""The domain of user-defined simulators, with the same commands and reports as other domains.
 
 The simulator is Python code next to the case. Only the command line names code to run; a case is
 data.

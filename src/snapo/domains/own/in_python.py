@@ -1,6 +1,6 @@
 """The report and the live page of a solution in Python.
 
-Its problem becomes a kind of case whose file has the inputs; a separate folder is the run.
+The problem becomes a kind of case whose file has the inputs; a separate folder holds the run.
 """
 
 import atexit
@@ -49,7 +49,7 @@ CASE = f"{run_folder.CASE}/case.toml"
 
 @dataclass(frozen=True, eq=False)
 class SolvedProblem:
-    """The parts of the case of a solved problem: the problem, its policy, and their settings."""
+    """The case of a solved problem: the problem, its policy, and their settings."""
 
     problem: Problem
     policy: Policy
@@ -59,7 +59,7 @@ class SolvedProblem:
     notes: tuple[str, ...]
 
     def setup(self, engine: str) -> Setup:
-        """The problem with its policy; `engine`: "auto" for that of the solution."""
+        """The problem with its policy; `engine`: "auto" for the engine of the solution."""
         problem, policy = self.problem, self.policy
         requested = self.engine if engine == "auto" and self.engine in ENGINES else engine
         plan = resolve_auto(Training(paths=self.paths["train"], seed=self.seed), problem, policy)
@@ -69,7 +69,7 @@ class SolvedProblem:
 
 @dataclass(frozen=True, eq=False)
 class PythonDomain(Kind):
-    """The domain of one problem in Python: its cases are the problem with other numbers.
+    """The domain of one problem in Python; its cases are the problem with different numbers.
 
     - `solved`: the problem with its policy.
     """
@@ -122,8 +122,8 @@ class PythonDomain(Kind):
 def write_report(solution: Solution, file: Path, problem: Problem | None) -> Path:
     """Writes the report of a solution into an HTML file; returns its path.
 
-    **Raises:** `ValueError` for another suffix, or if the solution has neither a problem nor the
-    folder of a run.
+    **Raises:** `ValueError` for another suffix, or if the solution has no problem and was not
+    loaded from the folder of a run.
     """
     if file.suffix.lower() not in (".html", ".htm"):
         raise ValueError(f"report: {file.name!r}; it must be a name that ends in .html.")
@@ -176,9 +176,11 @@ def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDom
     problem = problem or solution.problem
     missing = f"{verb}: this solution was loaded without its"
     if problem is None:
-        raise ValueError(f"{missing} problem: pass problem=problem.")
+        raise ValueError(f"{missing} problem; pass it as problem=problem.")
     if solution.policy is None:
-        raise ValueError(f"{missing} policy: snapo.Solution.load(folder, like=policy) has it.")
+        raise ValueError(
+            f"{missing} policy; load it with snapo.Solution.load(folder, like=policy)."
+        )
     solved = SolvedProblem(
         replace(problem), solution.policy, solution.engine, solution.seed, solution.paths,
         solution.notes,
@@ -189,7 +191,8 @@ def _domain(solution: Solution, problem: Problem | None, verb: str) -> PythonDom
 
 
 def _carry_out(solution: Solution, domain: PythonDomain, out: Path, *, every: bool) -> None:
-    """A run of the solution in the folder `out`: `every` part, or those of a live page."""
+    """Writes a run of the solution to the folder `out`, with `every` part or those of a live
+    page."""
     problem = domain.solved.problem
     data = {
         "kind": domain.kind,
@@ -217,9 +220,9 @@ def _table(entry: Input) -> dict[str, Any]:
 
 
 def _pickled(domain: PythonDomain) -> bytes:
-    """A domain for the worker of its page, with the path on which modules are found.
+    """A domain as bytes for the worker of its page, with the search path of modules.
 
-    It passes through the worker's pipe; no file is written, and none is unpickled.
+    The bytes pass through the worker's pipe; no pickle is written to a file or read from one.
     """
     import cloudpickle  # classes of a notebook are in no module that a worker could import
 

@@ -1,4 +1,5 @@
-"""The user's module: loaded from the case's folder, executed once, with messages for mistakes."""
+"""Loads the user's module from the case's folder and executes it once, with messages for
+mistakes."""
 
 import hashlib
 import importlib
@@ -28,11 +29,11 @@ class LoadedCode(NamedTuple):
 def load_class(module: str, name: str, folder: Path) -> LoadedCode:
     """The class `name` of `module`: next to the case, in the working directory, or installed.
 
-    **Raises:** `CaseError` if there is none, or the module cannot be run.
+    **Raises:** `CaseError` if there is no such class, or the module cannot be executed.
     """
     position = Unquoted(f"{module}:{name}")
     if module in sys.stdlib_module_names:
-        message = "this is the name of a module of Python; rename yours"
+        message = "Python has a module of this name; rename your module"
         raise CaseError(OPTION, "", position, message)
     loaded = _loaded(module, position, folder)
     result = getattr(loaded, name, None)
@@ -72,7 +73,8 @@ def _loaded(module: str, position: Unquoted, folder: Path) -> ModuleType:
 
 
 def _run(module: str, file: Path) -> ModuleType:
-    """The module in `file`, run again: another case may have a module of the same name."""
+    """The module in `file`, executed again because another case may have a module of the same
+    name."""
     spec = importlib.util.spec_from_file_location(module, file)
     assert spec is not None and spec.loader is not None
     made = importlib.util.module_from_spec(spec)
@@ -87,7 +89,7 @@ def _run(module: str, file: Path) -> ModuleType:
 
 @contextmanager
 def importable(folder: Path) -> Iterator[None]:
-    """Modules next to the simulator can be imported while it is run."""
+    """Modules next to the simulator can be imported within this context."""
     sys.path.insert(0, str(folder))
     try:
         yield
@@ -116,7 +118,7 @@ def readable(file: Path) -> Iterator[None]:
 
 
 def short(file: str | Path) -> str:
-    """The path of a file from the working directory, if that is shorter."""
+    """The path of a file, relative to the working directory if that is shorter."""
     try:
         near = os.path.relpath(file)
     except ValueError:

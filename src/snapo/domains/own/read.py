@@ -35,34 +35,34 @@ from snapo.study.prepare import use_every_core
 from .load import importable, load_class, readable
 from .records import OwnCase
 
-FACTOR = ": how many trade units make one unit"
+FACTOR = ": the number of trade units in one unit"
 NumberArray = float | list[float] | list[list[float]]
 
 
 class OwnTable(CaseTable):
-    """The whole file; the tables in it are read by their own records."""
+    """The whole file; the tables in it are read as records of other classes."""
 
     kind: str = doc("kind of the case")
     title: Title = ""
     step: str = doc(
         "noun of one step of the simulator",
         "step",
-        'the word for one step of the simulator, like "week"',
+        'the noun for one step of the simulator, such as "week"',
     )
     objective: dict[str, Any] | list[dict[str, Any]] = doc(
         "statistics of the paths that are maximised",
         {},
-        "a table, [objective], or several, [[objective]]",
+        "one table [objective], or several tables [[objective]]",
     )
     inputs: dict[str, Any] = doc("inputs of the simulator, by name", {}, "a table, [inputs]")
     units: dict[str, str] = doc(
-        "units in reports", {}, "a table of units by name of a state, of the action or of an output"
+        "units in reports", {}, "a table of units, by name of a state, the action or an output"
     )
     report: ReportKey
     training: TrainingKey
     evaluation: EvaluationKey
     simulator: dict[str, Any] = doc(
-        "table that the simulator reads itself, by `from_case`", {}, "a table, [simulator]"
+        "table that the simulator reads in its method `from_case`", {}, "a table, [simulator]"
     )
 
 
@@ -79,15 +79,17 @@ class InputTable(CaseTable):
         None,
         "the name of the column that labels the numbers",
     )
-    labels: list[str] | None = doc("labels of the numbers", None, "one text per number")
+    labels: list[str] | None = doc(
+        "labels of the numbers", None, "a list with one text for every number"
+    )
     unit: str = doc("unit of the numbers", "", 'text, like "EUR/MWh"')
-    words: str = doc("meaning of the input, in reports", "", "text: the meaning of the input")
-    group: str = doc("family of risk that the input belongs to", "", "text: the family of risk")
+    words: str = doc("meaning of the input, in reports", "", "the meaning of the input, as text")
+    group: str = doc("family of risk that the input belongs to", "", "the family of risk, as text")
     bump: Annotated[float, Range(0, endpoints="()", note=", in the unit")] | None = doc(
-        "bump by which its derivative is tested", None
+        "step of the finite difference that tests the derivative", None
     )
     move: float | None = doc(
-        "standard move, whose effect reports show", None, "a number other than 0, in the unit"
+        "standard move; reports show its effect", None, "a number other than 0, in the unit"
     )
     trade_unit: str = doc("unit in reports", "", "the name of the preferred display unit, as text")
     trade_factor: Annotated[float, Range(0, endpoints="()", note=FACTOR)] = doc(
@@ -123,13 +125,14 @@ def read_inputs(
 
 
 def _shares(entries: Sequence[CheckedNumbers]) -> Iterator[Plausible]:
-    """The ranges of shares: those that are shown as percentage points, or in basis points."""
+    """The plausible ranges of shares, which are numbers displayed in percentage points or basis
+    points."""
     for entry in entries:
         if entry.display_factor == 100 and PERCENT.search(entry.display_unit):
-            hint = "a fraction is expected; the display unit is percent"
+            hint = "a fraction is expected, such as 0.01 for 1 %"
             yield Plausible(0.0, 5.0, hint, names=(entry.name,), ratio=APART.ratio, by_size=True)
         if entry.display_factor == 1e4 and entry.display_unit == "bp":
-            hint = "a fraction is expected, 0.0001 is 1 bp"
+            hint = "a fraction is expected, such as 0.0001 for 1 bp"
             yield Plausible(0.0, 0.5, hint, names=(entry.name,), by_size=True)
 
 
@@ -151,31 +154,41 @@ InputParts = tuple[np.ndarray, tuple[str, ...], Positions]
 
 
 def _in_file(section: TableContext, table: InputTable) -> InputParts:
-    """The numbers under `value`, any shape."""
+    """The numbers at `value`, of any shape."""
     if table.value is None:
-        message = 'this key is missing; give value = 60, or file = "x.csv" with column = "price"'
+        message = 'this key is missing; write value = 60, or file = "x.csv" with column = "price"'
         raise section.error("value", None, message)
     for key in ("column", "label"):
         if getattr(table, key) is not None:
-            raise section.error(key, getattr(table, key), "it belongs to a file, not to a value")
+            raise section.error(
+                key,
+                getattr(table, key),
+                "this key is for an input with a file, but the input has a value",
+            )
     try:
         values = np.array(table.value, np.float64)
     except ValueError:
         raise section.error("value", table.value, "all rows must have the same length") from None
     labels = tuple(table.labels or ())
     if labels and len(labels) != values.size:
-        message = f"there are {values.size} numbers; each needs one label"
+        message = f"there must be {values.size} labels, one for every number"
         raise section.error("labels", table.labels, message)
     return values, labels, positions((*section.keys, "value"), values.shape)
 
 
 def _from_csv(section: TableContext, table: InputTable) -> InputParts:
-    """The numbers of a column, with the texts of another one as labels."""
+    """The numbers of a column, with the texts of another column as labels."""
     assert table.file is not None
     if table.value is not None:
-        raise section.error("value", table.value, "an input must have either a value or a file")
+        raise section.error(
+            "value", table.value, "an input must have either a value or a file, not both"
+        )
     if table.labels is not None:
-        raise section.error("labels", table.labels, "a file labels its numbers by a column: label")
+        raise section.error(
+            "labels",
+            table.labels,
+            "the labels of a file are in one of its columns; name the column with the key label",
+        )
     if not table.column:
         raise section.error("column", table.column, "it must be the name of a column of the file")
     column, label = table.column.lower(), (table.label or "").lower()
@@ -195,7 +208,7 @@ class Aim(NamedTuple):
 
     @property
     def description(self) -> str:
-        """The objective as a phrase."""
+        """The objective as text."""
         name, table = self.output.replace("_", " "), self.table
         if table.kind == "cvar":
             return f"mean of the worst {100 * (1 - (table.level or 0.95)):.3g} % of {name}"
@@ -203,7 +216,7 @@ class Aim(NamedTuple):
 
 
 def read_aims(data: Any, file: str) -> tuple[Aim, ...]:
-    """One table, or several that are added up."""
+    """Reads one objective, or several that are added up."""
     many = isinstance(data, list)
     if many and not data:
         raise CaseError(file, "objective", data, "at least one table is needed, [objective]")
@@ -214,13 +227,13 @@ def read_aims(data: Any, file: str) -> tuple[Aim, ...]:
 
 
 def objective_of(aims: tuple[Aim, ...]) -> Objective:
-    """The sum of the aims."""
+    """The weighted sum of the objectives."""
     terms = [(aim.weight, make_objective(aim.table, aim.output)) for aim in aims]
     return terms[0][1] if len(terms) == 1 and terms[0][0] == 1 else Weighted(*terms)
 
 
 def words_of(aims: tuple[Aim, ...]) -> str:
-    """As text: "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
+    """The objectives as text: "mean of cash + 0.5 x mean of the worst 10 % of cash"."""
     text = ""
     for aim in aims:
         sign = "" if not text and aim.weight > 0 else "- " if aim.weight < 0 else "+ "
@@ -230,7 +243,7 @@ def words_of(aims: tuple[Aim, ...]) -> str:
 
 
 def unit_of(aims: tuple[Aim, ...], units: Mapping[str, str]) -> str:
-    """The unit of the sum: that of its parts, if they all have the same."""
+    """The unit of the sum: the unit of its parts if they all have the same one, else ""."""
     result = {units.get(aim.output, "") if aim.table.keeps_unit else "" for aim in aims}
     return result.pop() if len(result) == 1 else ""
 
@@ -240,7 +253,7 @@ def _aim(data: Any, name: str, file: str) -> Aim:
         raise CaseError(file, name, data, "this must be a table, [objective]")
     output = data.get("output")
     if not isinstance(output, str) or not output:
-        message = "it is the name of the simulator's output that is maximised"
+        message = "it must be the name of the simulator's output to maximise"
         message = f"this key is missing; {message}" if output is None else message
         raise CaseError(file, f"{name}.output", output, message)
     rest = {key: value for key, value in data.items() if key not in ("weight", "output")}
@@ -294,11 +307,13 @@ def read_case(file: Path, data: Mapping[str, Any], position: tuple[str, str]) ->
 def _made(
     simulator: type[Simulator], code: Path | None, table: OwnTable, data: Mapping, file: Path
 ) -> Simulator:
-    """The simulator: made by its class method `from_case(tables, folder)`, or without arguments."""
+    """The simulator, made by its class method `from_case(tables, folder)` or, if it has none,
+    without arguments."""
     maker = getattr(simulator, "from_case", None)
     if maker is None and table.simulator:
         message = (
-            f"{simulator.__name__} has no class method from_case(tables, folder) that would read it"
+            f"{simulator.__name__} has no class method from_case(tables, folder), which must read "
+            f"this table"
         )
         raise CaseError(str(file), "simulator", table.simulator, message)
     position = code or Path(simulator.__name__)

@@ -15,14 +15,13 @@ from snapo.problem.simulator import Simulator
 class OwnCase:
     """The data that `snapo solve` needs from a case.
 
-    - `location`: module and class of the simulator; `code`: the file of the module, if it is a
-      file, and `code_hash`: the hash of its bytes.
-    - `unit`: the unit of the value; `units`: units by the name of a state, of the action or of an
-      output.
+    - `location`: module and class of the simulator; `code`: the file of the module, if there is
+      one, and `code_hash`: the hash of the file's bytes.
+    - `unit`: the unit of the value; `units`: units by the name of a state, the action or an output.
     - `objective_words`: the objective as text, "mean of cash"; `outputs`: {key in the case: output}
-      for all outputs that are maximised.
+      for all outputs in the objective.
     - `positions`: {input: the positions of its numbers in the files}.
-    - `step`: the word for one step, "week".
+    - `step`: the noun for one step, "week".
     """
 
     file: Path

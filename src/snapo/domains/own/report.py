@@ -1,4 +1,5 @@
-"""The report of a run of a user's simulator: the sections that every run can have, and limits."""
+"""The report of a run with a user-defined simulator: the sections that every run can have, and
+limits."""
 
 from typing import Any
 
@@ -16,10 +17,12 @@ from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
 CAVEAT = (
-    "A limit is nearly met if it is missed by less than the half-width of the interval, or by "
-    "less than a thousandth of the standard deviation of one path. If the level of a limit is "
+    "A limit is nearly met if the value violates it by less than the half-width of the interval, "
+    "or by less than a thousandth of the standard deviation of one path. If the level of a limit "
+    "is "
     "raised by one unit, the objective changes by the shadow price. Shadow prices are computed "
-    "on fresh paths from derivatives with respect to the policy; a limit with slack has none. "
+    "on fresh paths from derivatives with respect to the policy; a limit with slack has no shadow "
+    "price. "
     "Sensitivities are those of the best value within the limits."
 )
 
@@ -29,7 +32,7 @@ def limits(run: RunFiles) -> Section:
     rows = [_row(LimitFound(**entries)) for entries in run.result.limits]
     head = [
         ("Limit", ""), ("", ""), ("Level", ""), ("Value", ""), ("95 %", ""),
-        ("Level raised by one unit", run.unit), ("", ""),
+        ("Effect of raising the level by one unit", run.unit), ("", ""),
     ]  # fmt: skip
     caption = "Limits on fresh paths of the exact simulator, with their shadow prices"
     blocks = [Table(head, rows, caption, 2), Text(CAVEAT, caveat=True)] if rows else []
@@ -70,7 +73,7 @@ MENU = {
 
 
 def about(run: RunFiles) -> list[tuple[str, str]]:
-    """The entries under the title."""
+    """The lines below the title of the report."""
     steps = f"{number(run.get('horizon'), 0)} {run.get('step', 'step')}s"
     objective = str(run.get("objective", ""))
     return [("Simulator", str(run.get("simulator", ""))), ("Horizon", steps),

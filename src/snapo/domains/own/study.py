@@ -1,4 +1,4 @@
-"""A run of a user's simulator: check, training, measurement and report."""
+"""A run with a user-defined simulator: check, training, measurement and report."""
 
 from collections.abc import Callable
 from typing import Any
@@ -32,7 +32,7 @@ from .records import OwnCase
 
 
 class SimulatorError(CaseError):
-    """Mistakes in the simulator, each with its file and line."""
+    """Mistakes in the simulator, with their files and lines."""
 
     def __init__(self, findings: Findings):
         self.findings = findings
@@ -43,10 +43,10 @@ class SimulatorError(CaseError):
 
 
 def checked(case: OwnCase) -> Findings:
-    """The remarks of `snapo.check` on a simulator that can be trained.
+    """The remarks of `snapo.check` on a simulator that can be used for training.
 
-    **Raises:** `SimulatorError` if it cannot be trained; `CaseError` if the case, or a limit of
-    the class, refers to an output that does not exist.
+    **Raises:** `SimulatorError` if it cannot be used for training; `CaseError` if the case, or a
+    limit of the class, refers to an output that does not exist.
     """
     findings = check(case.simulator, case.inputs)
     if not findings.ok:
@@ -102,12 +102,12 @@ def study(
     options: Options,
     setup_of: Callable[[OwnCase, str], Setup] | None = None,
 ) -> Study:
-    """Training, distribution, fans, moves of the inputs, and the certificate.
+    """The parts of a run: training, distribution, fans, moves of the inputs, and the certificate.
 
     `setup_of`: makes the setup of a case with an engine, by default from the tables of the case.
     """
     if options.reference:
-        message = "a user-defined simulator has no references to compute"
+        message = "a user-defined simulator has no exact values to compute"
         raise CaseError("--reference", "", None, message)
     available = (options.about or {}).get("notes")
     notes = _notes(case) if available is None else available
@@ -148,7 +148,7 @@ def study(
 
 
 def _notes(case: OwnCase) -> list[str]:
-    """Remarks on the case and on its simulator, which is checked."""
+    """Checks the simulator, and returns remarks on it and on the case."""
     warnings = (
         f"{warning.where}: {warning.subject} {warning.fix}" for warning in checked(case).warnings
     )
@@ -161,7 +161,7 @@ def _result(run: StudyRun) -> dict[str, Any]:
 
 
 def _relaxation(problem: Problem):
-    """The inner problem of the bound from above; or the reason why a run has none."""
+    """The inner problem of the upper bound, or the reason why a run has no such bound."""
     return (lambda: relaxation_of(problem)) if bounded(problem) else UNKNOWN
 
 

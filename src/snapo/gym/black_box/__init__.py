@@ -1,5 +1,6 @@
-"""Environments that are not differentiable: a model is fitted, and the policy trained in it.
+"""Environments that are not differentiable: a model is fitted, and the policy is trained in the
+model.
 
-`learn.learn` is the public function, `rounds` its loop: `real` counts every step of the
-environment, `ensemble` is fitted to them, and the policy is trained in `model`.
+`learn.learn` is the public function and `rounds` its loop. `real` counts and stores every step of
+the environment, `ensemble` is fitted to these steps, and the policy is trained in `model`.
 """

@@ -1,8 +1,9 @@
-"""A small ensemble of smooth networks, fitted to transitions: a policy is trained in it.
+"""A small ensemble of smooth networks that is fitted to transitions, so that a policy can be
+trained in it.
 
-Members differ by their initial weights and by the batches that they see, so that they agree where
-there are data and disagree elsewhere (Chua and others 2018, "Deep reinforcement learning in a
-handful of trials"; whose networks predict differences of observations too).
+Members differ in their initial weights and in the batches that they see, so they agree where there
+are data and disagree elsewhere (Chua and others 2018, "Deep reinforcement learning in a handful of
+trials"; whose networks also predict differences of observations).
 """
 
 from itertools import pairwise
@@ -27,10 +28,10 @@ class Fit(NamedTuple):
     - `layers`: [(weights [E, out, in], biases [E, out])] in the units of the environment, from
       observation and action to the difference of the observation, the reward of a step that does
       not end the episode, the reward of a step that ends it, and the log odds of the end.
-    - `raw`: the same layers for numbers of order one, from which a further fit starts.
+    - `raw`: the same layers for numbers scaled to order one, from which the next fit starts.
     - `error`: [k + 2] root mean square errors of the members' mean on held-out rows, divided by the
-      spread of each number: differences, then the reward; the last number is the share of ends that
-      were predicted wrongly.
+      standard deviation of each number: first the differences, then the reward. The last number is
+      the share of ends that were predicted wrongly.
     - `spread`: [k] the standard deviation of the environment's noise.
     """
 
@@ -49,7 +50,7 @@ class _Scales(NamedTuple):
 
 
 def first_layers(size: int, outputs: int, hidden: tuple[int, ...], members: int, seed: int):
-    """Weights of all members before any fit."""
+    """The weights of all members before any fit."""
     rng = np.random.default_rng((seed, 77))
     widths = (size, *hidden, outputs)
     return [
@@ -64,7 +65,8 @@ def first_layers(size: int, outputs: int, hidden: tuple[int, ...], members: int,
 def fit(
     transitions: Transitions, raw: PyTree, capacity: int, maximum: int, seed: int, patience: int = 4
 ) -> Fit:
-    """The ensemble fitted further from the weights `raw`, and its error on held-out rows.
+    """Fits the ensemble further, starting from the weights `raw`; returns it with its error on
+    held-out rows.
 
     A tenth of the rows is held out. Every member keeps the weights that were best on these rows;
     the fit stops after `maximum` steps, or after `patience` checks without an improvement.
@@ -104,7 +106,8 @@ class _Data(NamedTuple):
 def _numbers(
     transitions: Transitions, taught: np.ndarray
 ) -> tuple[_Scales, np.ndarray, np.ndarray]:
-    """Scales from the rows taught; inputs and outputs of all rows between numbers of order one."""
+    """Scales from the training rows, and the inputs and outputs of all rows, scaled to numbers of
+    order one."""
     x = np.concatenate([transitions.before, transitions.action], 1).astype(np.float64)
     change = (transitions.after - transitions.before).astype(np.float64)
     y = np.concatenate([change, transitions.reward[:, None], transitions.reward[:, None]], 1)
@@ -122,7 +125,7 @@ def _numbers(
 def _rows(
     x: np.ndarray, y: np.ndarray, transitions: Transitions, rows: np.ndarray, length: int
 ) -> _Data:
-    """Some rows, in arrays of a length."""
+    """Some rows, in arrays of fixed length."""
     x, y, ended = (_padded(item, rows, length) for item in (x, y, transitions.ended))
     return _Data(x, y, ended, rows.size)
 
@@ -134,14 +137,14 @@ def _padded(values: np.ndarray, rows: np.ndarray, length: int) -> np.ndarray:
 
 
 def _rates(done: int, maximum: int) -> np.ndarray:
-    """Cosine decay, step by step."""
+    """The learning rate of every step, with cosine decay."""
     share = np.minimum(1.0, (done + np.arange(ROUND)) / maximum)
     high, low = RATES
     return (low + (high - low) * (1 + np.cos(np.pi * share)) / 2).astype(np.float32)
 
 
 def _forward(layers, x: Float[Array, "n i"]) -> Float[Array, "n o"]:
-    """One member's outputs."""
+    """The outputs of one member."""
     *hidden, (weight, bias) = layers
     for w, b in hidden:
         x = jnp.tanh(x @ w.T + b)
@@ -149,7 +152,7 @@ def _forward(layers, x: Float[Array, "n i"]) -> Float[Array, "n o"]:
 
 
 def _parts(layers, x, y, ended) -> Array:
-    """[n, k + 3] squares of the misses that count, and the cross entropy of the end."""
+    """[n, k + 3] the squared errors that count, and the cross entropy of the end."""
     summary = _forward(layers, x)
     moves = (summary[:, :-3] - y[:, :-2]) ** 2
     on = (1 - ended)[:, None] * (summary[:, -3:-2] - y[:, -2:-1]) ** 2
@@ -185,7 +188,7 @@ def _taught(raw, state, data: _Data, rates, key):
 
 @jax.jit
 def _losses(raw, test: _Data) -> Float[Array, " E"]:
-    """The loss of every member on the rows held out."""
+    """The loss of every member on the held-out rows."""
     count = jnp.arange(test.x.shape[0]) < test.count
 
     def one(layers):
@@ -226,7 +229,7 @@ def _in_units(raw, scales: _Scales):
 
 
 def _either(better: np.ndarray, raw, best):
-    """The new weights of the members that are better, and the old ones of the others."""
+    """The new weights of the members that improved, and the old weights of the others."""
 
     def one(new, old):
         return np.where(better.reshape(-1, *[1] * (new.ndim - 1)), new, old)

@@ -1,8 +1,8 @@
 """`snapo.learn`: a policy for an environment that cannot be differentiated.
 
-Explore; then, round by round: fit a smooth ensemble to all transitions, train the policy through
-it by adjoint, and play it in the real environment. Errors of the model are observed there, and the
-next fit corrects them.
+After an exploration, every round fits a smooth ensemble to all transitions, trains the policy
+through the ensemble by the adjoint method, and plays the policy in the real environment. Errors of
+the model appear there, and the next fit corrects them.
 """
 
 from collections.abc import Callable
@@ -36,29 +36,32 @@ def learn(
     engine: EngineName = "auto",
     progress: Callable[[LearningRound], object] | None = None,
 ) -> Learned:
-    """Learns a policy for a black box: a Gymnasium environment with boxes of numbers.
+    """Learns a policy for a black box: a Gymnasium environment whose observations and actions are
+    boxes of numbers.
 
     **Arguments:**
 
     - `environment`: a name such as "Pendulum-v1", a function that creates it, or an environment.
     - `steps`: the maximum number of steps in the real environment, in total.
     - `policy`: the network's recipe, such as `MLP(hidden=(64, 64))`, or a policy to train further,
-      such as that of an earlier result.
+      such as the policy of an earlier result.
     - `rounds`: the number of rounds of fit, training and real episodes.
-    - `hold`: steps of the environment for which a decision is held; by default as many as needed
-      for at most 250 decisions in an episode. `limit`: the longest episode, in steps; by default
-      that of the environment.
-    - `horizon`: decisions of a path in training; by default half an episode, at most 125.
-    - `members`, `hidden`: networks of the ensemble, and their layers.
-    - `training`: the training of the policy in the first and the last round; others take half its
-      steps.
-    - `reward`: `reward(observation, action, after)` in `jax.numpy`, if it is known; else it is
-      learned. `over`: `over(after)`, a number of order one that is above 0 if the episode ends;
-      else the end is learned.
+    - `hold`: number of steps of the environment for which a decision is held; by default the
+      smallest number with at most 250 decisions in an episode. `limit`: the largest number of steps
+      in an episode; by default the limit of the environment.
+    - `horizon`: number of decisions in a path of training; by default half an episode, at most 125.
+    - `members`, `hidden`: number of networks in the ensemble, and the widths of their hidden
+      layers.
+    - `training`: settings of training in the first and the last round; the other rounds use half
+      its steps.
+    - `reward`: `reward(observation, action, after)` in `jax.numpy`, if the reward is known; by
+      default it is learned. `over`: `over(after)`, a number of order one that is above 0 if the
+      episode ends; by default the end is learned.
     - `progress`: called with every `LearningRound`.
 
     **Raises:** `ValueError` if observations or actions are not boxes of numbers, if episodes have
-    no limit, or if the steps are not sufficient for ten episodes (more with more rounds).
+    no limit, or if the steps are not sufficient for ten episodes (or more, if there are more
+    rounds).
     """
     # Late: the public names are there without Gymnasium.
     from .real import Real

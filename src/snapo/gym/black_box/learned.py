@@ -14,9 +14,10 @@ if TYPE_CHECKING:
 
 
 class Compared(NamedTuple):
-    """Episodes of one policy from the same initial observations, in environment and model.
+    """Episodes of one policy from the same initial observations, in the environment and in the
+    model.
 
-    - `real`, `model`: mean sum of rewards of an episode, with standard errors.
+    - `real`, `model`: the mean sum of rewards of an episode, with standard errors.
     - `gap`: real minus model, paired by episode, with the error of the difference.
     """
 
@@ -30,7 +31,8 @@ class Compared(NamedTuple):
 
     @property
     def episodes(self) -> int:
-        """The number of episodes; `rewards` [episodes]: the sum of each, in the environment."""
+        """The number of episodes; `rewards` [episodes]: the sum of rewards of each episode in the
+        environment."""
         return len(self.rewards)
 
     @staticmethod
@@ -45,12 +47,12 @@ class Compared(NamedTuple):
 class LearningRound(NamedTuple):
     """One round: a fit, a training, and episodes of the new policy in the real environment.
 
-    - `steps`: real steps up to the end of the round; `rows`: transitions to which the model was
-      fitted.
-    - `error`: the error of the model on held-out rows, divided by the spread of each number (see
-      `Fit.error`).
-    - `comparison`: the new policy without noise, from initial observations common to all rounds.
-    - `seconds`: the seconds of processor time.
+    - `steps`: number of real steps up to the end of the round; `rows`: number of transitions to
+      which the model was fitted.
+    - `error`: the error of the model on held-out rows, divided by the standard deviation of each
+      number (see `Fit.error`).
+    - `comparison`: the new policy without noise, from initial observations that all rounds share.
+    - `seconds`: processor time in seconds.
     """
 
     steps: int
@@ -65,10 +67,11 @@ class Learned:
     """A policy learned in a model, and its results in the real environment.
 
     - `policy`: maps the environment's observation to its action, both in its units. It can be
-      played with `snapo.gym.Agent(policy)`, saved and exported like every policy.
+      played with `snapo.gym.Agent(policy)`, and saved and exported like every policy.
     - `comparison`: its value in the environment and in the model, and the gap, on fresh initial
       states that no round used.
-    - `steps`: total number in the real environment; `hold`: the steps of a held decision.
+    - `steps`: total number of steps in the real environment; `hold`: the number of steps for which
+      a decision is held.
     - `rounds`: the history; `selected`: the round of this policy, counted from 1. It is the round
       with the highest reward in the real environment from the common initial observations.
     - `model`, `inputs`: the simulator and its inputs after the last fit: `snapo.Problem(model,
@@ -105,7 +108,7 @@ class Learned:
 
     @property
     def gap(self) -> float:
-        """The value in the real environment minus that in the model."""
+        """The value in the real environment minus the value in the model."""
         return self.comparison.gap
 
     def play(self, starts: int | Sequence[int] = 100) -> "Played":
@@ -120,8 +123,8 @@ class Learned:
 
         if isinstance(self.environment, gymnasium.Env):
             raise ValueError(
-                "play: episodes run in parallel, and there is only one environment; pass its name "
-                "to learn, or a function that creates it."
+                "play: episodes run in parallel, but there is only one environment; pass "
+                "its name, or a function that creates it, to learn."
             )
 
         def held():
@@ -133,7 +136,8 @@ class Learned:
         return str(self)
 
     def __str__(self) -> str:
-        """The text; in the rounds, the real values are from the starts that all have played."""
+        """The result as text; the real values of the rounds are from the starts that all rounds
+        have played."""
         result = self.comparison
         titles = ("round", "steps", "fitted to", "worst error", "real", "gap")
         lines = [

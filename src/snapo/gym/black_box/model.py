@@ -1,4 +1,4 @@
-"""The learned model as a simulator: an ensemble of networks, one of which each path follows."""
+"""The learned model as a simulator: every path follows one network of an ensemble."""
 
 from collections.abc import Callable
 from typing import Any, ClassVar
@@ -20,11 +20,11 @@ Over = Callable[[Array], Array]
 
 
 class Model(Simulator):
-    """One path of a learned environment: state and observation are those of the environment.
+    """One path of a learned environment, whose state contains the environment's observation.
 
     The inputs are those of `inputs_of`: weights of all members, scales, first observations. A path
-    follows one member, drawn by its initial noise, so that a policy must be good in all members
-    and cannot exploit the errors of one. A path that may have ended continues with a smaller
+    follows one member, drawn by its initial noise, so a policy must be good in all members and
+    cannot exploit the errors of one member. A path that may have ended continues with a smaller
     weight.
     """
 
@@ -86,7 +86,7 @@ class Model(Simulator):
         return {"seen": constants["scale"], "member": jnp.ones(self.members), "alive": one}
 
     def _on_circles(self, observed: Float[Array, " k"]) -> Float[Array, " k"]:
-        """With every pair of cosine and sine back on its circle."""
+        """Projects every pair of cosine and sine back onto its circle."""
         numbers = [observed[i] for i in range(self.size)]
         for i, j in self.circles:
             radius = jnp.sqrt(numbers[i] ** 2 + numbers[j] ** 2 + 1e-12)
@@ -100,7 +100,8 @@ def _drawn(normal: Array, count: int) -> Array:
 
 
 def _told(layers: Any, member: Float[Array, " E"], x: Float[Array, " k_m"]) -> Array:
-    """The outputs of one member. All are computed: that costs less than fetching weights."""
+    """The outputs of one member. The outputs of all members are computed, because that costs less
+    than fetching the weights of one."""
     *hidden, (weight, bias) = layers
     for number, (w, b) in enumerate(hidden):
         flow = jnp.einsum("eoi,i->eo", w, x) if not number else jnp.einsum("eoi,ei->eo", w, x)
@@ -109,5 +110,6 @@ def _told(layers: Any, member: Float[Array, " E"], x: Float[Array, " k_m"]) -> A
 
 
 def _width(smooth) -> Array | float:
-    """The end of an episode is learnt as a probability; in training it is felt from farther."""
+    """The width over which an episode ends, which is learned as a probability; in training the
+    width is larger."""
     return 1.0 + END_WIDTH * smooth.temperature if isinstance(smooth, Smooth) else 1.0

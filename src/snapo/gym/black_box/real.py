@@ -20,9 +20,9 @@ ON_CIRCLE = 1e-3  # of the sum of two squares, at every observation
 
 
 class Transitions(NamedTuple):
-    """Steps of the environment, one in each row; with `hold`, a row is the whole time of a held
-    decision. `ended` is true if the environment terminated. A time limit is not such an end, since
-    it does not depend on the state.
+    """Steps of the environment, one in each row; with `hold`, a row covers all steps of a held
+    decision. `ended` is true if the environment terminated. Truncation at a time limit does not
+    count as an end, since it does not depend on the state.
     """
 
     before: Float[np.ndarray, "n k"]
@@ -42,7 +42,7 @@ def joined(parts: list[Transitions]) -> Transitions:
 
 
 def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
-    """Pairs of observed numbers that are on the unit circle in all rows: cosine and sine.
+    """Pairs of observed numbers, a cosine and a sine, that are on the unit circle in all rows.
 
     A model that leaves the circle slightly at every step evaluates its networks at impossible
     states, so these pairs are projected back onto the circle.
@@ -64,7 +64,7 @@ def circles(observed: Float[np.ndarray, "n k"]) -> tuple[tuple[int, int], ...]:
 def scale_of(
     rows: Float[np.ndarray, "n k"],
 ) -> tuple[Float[np.ndarray, " k"], Float[np.ndarray, " k"]]:
-    """Mean and deviation of columns; a constant column has a scale of one."""
+    """Mean and standard deviation of columns; a constant column has a scale of one."""
     if not len(rows):
         return np.zeros(rows.shape[1]), np.ones(rows.shape[1])
     mean, deviation = rows.mean(0), rows.std(0)
@@ -77,7 +77,7 @@ Act = Callable[[np.ndarray, int], np.ndarray]  # from observation and decision's
 
 
 class Episode(NamedTuple):
-    """One episode: its transitions, the sum of its rewards, and the steps that it took."""
+    """One episode: its transitions, the sum of its rewards, and the number of its steps."""
 
     rows: Transitions
     total: float
@@ -86,7 +86,7 @@ class Episode(NamedTuple):
 
 
 class Real:
-    """A Gymnasium environment whose decisions are held for `hold` steps each.
+    """A Gymnasium environment in which every decision is held for `hold` steps.
 
     **Raises:** `ValueError` if observations or actions are not numbers in a box, or if the length
     of an episode has no limit.
@@ -96,7 +96,7 @@ class Real:
         self.inner = inner = opened(environment)
         observed, self.actions = _box(inner, "observation"), _box(inner, "action")
         if not (np.isfinite(self.actions.low).all() and np.isfinite(self.actions.high).all()):
-            raise ValueError("learn: the actions need a finite low and high.")
+            raise ValueError("learn: the action space must have finite bounds low and high.")
         self.low, self.high = (
             np.ravel(item).astype(np.float64) for item in (observed.low, observed.high)
         )
@@ -112,7 +112,7 @@ class Real:
         return int(np.prod(self.actions.shape))
 
     def episode(self, act: Act, seed: int) -> Episode:
-        """Plays one episode to its end."""
+        """Plays one complete episode."""
         observed, _ = self.environment.reset(seed=int(seed))
         start = observed = _flat(observed)
         rows, done = [], False
@@ -156,20 +156,20 @@ class HeldAction(gymnasium.Wrapper):
 
 
 def opened(environment: Any):
-    """The environment, from its name, from a function that creates it, or from itself."""
+    """The environment, made from its name or by a function, or the object itself."""
     return environment if isinstance(environment, gymnasium.Env) else made(environment)
 
 
 FLATTEN = "gymnasium.wrappers.FlattenObservation converts it to a box"
 SCORES = (
-    "the adjoint needs continuous numbers. A gymnasium.ActionWrapper can take a Box of "
-    "scores, one for each choice, and choose the largest"
+    "the adjoint method needs continuous actions. A gymnasium.ActionWrapper can take a Box of "
+    "scores, one for each choice, and choose the option with the largest score"
 )
 REMEDIES = {"observation": FLATTEN, "action": SCORES}
 
 
 def _box(environment: Any, name: str):
-    """A space of the environment, which must be a box."""
+    """Returns a space of the environment, which must be a box."""
     space = getattr(environment, f"{name}_space", None)
     if not isinstance(space, gymnasium.spaces.Box):
         raise ValueError(
@@ -190,8 +190,8 @@ def _limit(environment: Any, values: int | None) -> int:
 
 
 def _of_wrapper(environment: Any) -> int | None:
-    """The limit of steps of a `TimeLimit` around an environment that is not registered, and so has
-    no spec."""
+    """The limit in the `TimeLimit` wrapper of an environment that is not registered and therefore
+    has no spec."""
     while isinstance(environment, gymnasium.Wrapper):
         if isinstance(environment, gymnasium.wrappers.TimeLimit):
             return environment._max_episode_steps
@@ -204,15 +204,15 @@ def _flat(observed: Any) -> np.ndarray:
 
 
 class Units(NamedTuple):
-    """Shift and scale [k] of a policy's observations in training: fixed, since weights depend
-    on them."""
+    """Shift and scale [k] of a policy's observations in training. They are fixed, since weights
+    depend on them."""
 
     shift: np.ndarray
     scale: np.ndarray
 
     def undone(self, policy: MLP) -> MLP:
-        """The policy for the observations of the environment itself: an ordinary network,
-        so that it can be saved and exported like every policy."""
+        """The policy for unscaled observations of the environment. It is an ordinary network, so it
+        can be saved and exported like every policy."""
         return _with_layer(policy, plain(*_layer(policy), self.shift, self.scale))
 
     def done(self, policy: MLP) -> MLP:
@@ -224,7 +224,7 @@ class Units(NamedTuple):
 class Known:
     """The real environment and all episodes so far.
 
-    `units` and `circles` (see the function) are those of the random episodes.
+    `units` and `circles` (see the function) are determined from the random episodes.
     """
 
     real: Real
@@ -235,7 +235,7 @@ class Known:
 
     @staticmethod
     def of(real: Real, seed: int) -> "Known":
-        """An environment without episodes."""
+        """An environment in which no episode has been played."""
         nothing = Units(np.zeros(0), np.ones(0))
         return Known(real, np.random.default_rng((seed, 1)), nothing)
 
@@ -262,7 +262,7 @@ class Known:
         return self.episodes[-1]
 
     def room(self, steps: float) -> bool:
-        """Whether one more episode of any length ends within this number of steps."""
+        """Whether one more episode, whatever its length, fits into this number of steps."""
         return self.real.steps + self.real.limit <= steps
 
 

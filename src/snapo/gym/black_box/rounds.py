@@ -1,9 +1,9 @@
-"""The loop of `snapo.learn`: exploration, the rounds, then episodes of the final policy.
+"""The loop of `snapo.learn`: exploration, the rounds, and episodes of the final policy.
 
-A round fits the model, improves the policy inside it, and plays it in the real environment.
-Random actions are held: white noise averages out in a system with momentum, and a mountain car with
-such actions never leaves its valley. (Eberhard and others 2023, "Pink noise is all you need",
-measure how much correlation in time matters.)
+A round fits the model, improves the policy inside it, and plays it in the real environment. Random
+actions are held for several decisions, because white noise averages out in a system with momentum:
+a mountain car with white noise never leaves its valley. (Eberhard and others 2023, "Pink noise is
+all you need", measure how much correlation in time matters.)
 """
 
 import math
@@ -37,7 +37,8 @@ NOISE = 0.3  # of half the range of an action, added to those of a policy
 
 
 def random_actions(real: Real, rng: np.random.Generator) -> Act:
-    """Random actions, often at the limits, each held for a time that is drawn for the episode."""
+    """Random actions, often at the limits; every action is held for a time that is drawn for the
+    episode."""
     low, high = (np.ravel(item) for item in (real.actions.low, real.actions.high))
     drawn = _held(real, rng)
 
@@ -48,7 +49,7 @@ def random_actions(real: Real, rng: np.random.Generator) -> Act:
 
 
 def noisy(policy: Callable[[np.ndarray], np.ndarray], real: Real, rng: np.random.Generator) -> Act:
-    """The policy's actions with held noise, within bounds."""
+    """The policy's actions plus held noise, clipped to the bounds."""
     low, high = (np.ravel(item) for item in (real.actions.low, real.actions.high))
     drawn, size = _held(real, rng), NOISE * (high - low) / 2
 
@@ -59,7 +60,7 @@ def noisy(policy: Callable[[np.ndarray], np.ndarray], real: Real, rng: np.random
 
 
 def _held(real: Real, rng: np.random.Generator) -> Callable[[int], np.ndarray]:
-    """Uniform numbers from -2 to 2 [m], a new one after a number of decisions."""
+    """Uniform numbers from -2 to 2 [m], drawn again after a number of decisions."""
     shortest, longest = (max(1.0, share * real.decisions) for share in (SHORTEST, LONGEST))
     while_ = max(1, round(float(np.exp(rng.uniform(np.log(shortest), np.log(longest))))))
     now = np.zeros(real.size)
@@ -79,7 +80,7 @@ BEYOND = 0.05  # of the observed range: how far the model goes
 
 
 def inputs_of(fit: Fit, available: Known) -> dict[str, PyTree]:
-    """The model's numbers: weights, scales, the range that it stays in, and initial states."""
+    """The model's numbers: weights, scales, the range in which it stays, and initial states."""
     observed, firsts, units, rng = (
         available.transitions,
         available.firsts,
@@ -132,7 +133,7 @@ def value(
     engine: EngineName,
     seed,
 ) -> np.ndarray:
-    """[n] the value in the model from each first observation, the mean over all members."""
+    """[n] the value in the model from each first observation, as the mean over all members."""
     problem = Problem(model, inputs, Mean("reward"))
     bound = choose(engine, problem, policy).train.bind(problem)
     members, count = model.members, len(firsts)
@@ -171,7 +172,7 @@ class LearningPlan:
 
 
 class Inside(NamedTuple):
-    """The model of a round: the simulator, its numbers, their fit, and the number of rows used."""
+    """The model of a round: the simulator, its inputs, the fit, and the number of rows used."""
 
     model: Model
     inputs: Any
@@ -186,13 +187,14 @@ def fewest(rounds: int) -> int:
 
 
 def until(plan: LearningPlan, number: int) -> float:
-    """The real steps made when a round is over: the share of random ones, then equal parts."""
+    """The number of real steps at the end of a round: the share of random steps, plus an equal part
+    for each round."""
     share = EXPLORE + (1 - CONFIRM - EXPLORE) * (number + 1) / plan.rounds
     return share * plan.steps
 
 
 def fitted_model(plan: LearningPlan, available: Known, raw: Any, number: int) -> Inside:
-    """The model of all transitions; `raw` are the initial weights of the fit."""
+    """The model fitted to all transitions; `raw`: the initial weights of the fit."""
     observed, real = available.transitions, available.real
     capacity = -(-plan.steps // real.hold) + real.limit
     result = fit(observed, raw, capacity, LATER if number else FIRST, plan.seed)
@@ -212,14 +214,15 @@ def fitted_model(plan: LearningPlan, available: Known, raw: Any, number: int) ->
 
 
 def initial_policy(inside: Inside, policy: MLP | None, units: Units, seed: int) -> MLP:
-    """The policy before any training; one with weights is converted to the environment's units."""
+    """The policy before any training; a policy that already has weights is converted from the
+    environment's units."""
     interface = Problem(inside.model, inside.inputs, Mean("reward")).interface
     made = (policy or MLP(hidden=(32, 32))).for_problem(interface, jax.random.key(seed))
     return made if policy is None or policy.network is None else units.done(made)
 
 
 def improved(plan: LearningPlan, inside: Inside, policy: MLP, number: int) -> MLP:
-    """The policy after further training, on paths that no round had before."""
+    """The policy after further training, on paths that no earlier round used."""
     problem = Problem(inside.model, inside.inputs, Mean("reward"))
     settings, middle = resolve_auto(plan.training, problem, policy), 0 < number < plan.rounds - 1
     settings = replace(settings, seed=settings.seed + 1000 * number)
@@ -292,7 +295,7 @@ def _rounds(
     policy: MLP | None,
     progress: Callable[[LearningRound], object] | None,
 ) -> tuple[list[LearningRound], list[MLP], Inside]:
-    """The history, the policy of every round, and the last model."""
+    """Runs all rounds; returns the history, the policy of every round, and the last model."""
     common = available.rng.integers(2**31, size=plan.steps)  # seeds of starts that all rounds share
     size, history, policies, inside = len(available.units.shift), [], [], None
     raw = first_layers(size + available.real.size, size + 3, plan.hidden, plan.members, plan.seed)
@@ -316,6 +319,6 @@ def _rounds(
 
 
 def _best(history: list[LearningRound]) -> int:
-    """The round whose policy earned most on those starts that all rounds have played."""
+    """The round whose policy had the highest reward on the starts that all rounds have played."""
     shared = min(item.comparison.episodes for item in history)
     return int(np.argmax([np.mean(entry.comparison.rewards[:shared]) for entry in history]))

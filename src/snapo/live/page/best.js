@@ -1,4 +1,4 @@
-// How near the policy is to its best here: its gradient, a bound, and training again.
+// The policy's distance from its best at these inputs: its gradient, a bound, and further training.
 
 import { error, nearness, shown } from "./numbers.js";
 import { at, page } from "./page.js";
@@ -15,7 +15,7 @@ export function rest() {
   at("bounds").textContent = "";
 }
 
-// No calculation is going on beside the moves; `words` say what the last one gave.
+// No calculation is running except the moves; `words`: the result of the last calculation.
 export function idle(words) {
   page.busy = "";
   at("cancel").hidden = at("progress").hidden = at("adopt").hidden = true;
@@ -43,6 +43,6 @@ export function cancelled() {
 export function bounded({ table }) {
   idle("");
   const { gap, upper } = table, share = Math.abs(gap.high / (upper.value || 1));
-  const advice = share > 0.02 ? " Training again may gain a part of that." : " Training again can gain no more.";
+  const advice = share > 0.02 ? " Further training may gain a part of that." : " Further training cannot gain more than that.";
   at("bounds").textContent = `The optimum is at most ${shown(upper.high, 6)} (95 %): this policy is at most ${shown(gap.high, 4)} (${shown(100 * share, 2)} %) below it.${advice}`;
 }

@@ -1,10 +1,10 @@
-// A change of the value: to first order while the hand moves, and explained by input.
+// A change of the value: to first order while the user drags, and explained by input.
 
 import { drawn, waterfall } from "./draw.js";
 import { shown, signed } from "./numbers.js";
 import { at, page } from "./page.js";
 
-// The steps from the run's value to that shown, an input at a time; `called` names it for people.
+// The steps from the run's value to the value shown, one input at a time; `called`: its name for users.
 export function explained(steps, called) {
   at("explained").hidden = false;
   const rows = steps.map(({ names, change, error }) => ({ name: names.map(called).join(", "), change, error, shown: signed(change, 4) }));

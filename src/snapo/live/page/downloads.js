@@ -1,8 +1,8 @@
-// Downloads: one that fails says why, on the page.
+// Downloads: if one fails, the page shows the reason.
 
 const NAMED = /filename="([^"]+)"/;
 
-// Takes over the links with `download`; `place` has the reason of one that failed.
+// Takes over the links with `download`; `place` shows why a download failed.
 export function downloads(place) {
   document.addEventListener("click", async (event) => {
     const link = event.target.closest("a[download]");

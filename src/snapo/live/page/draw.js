@@ -55,7 +55,7 @@ export function frame(width, height, low, high, label) {
   return { svg, y, left, right, top, bottom };
 }
 
-// Labels below, as many as there is room for.
+// Labels below the axis, as many as fit.
 export function below(svg, labels, x, bottom, room) {
   const widest = Math.max(...labels.map((label) => label.length)) * 6.2 + 10;
   const every = Math.max(1, Math.ceil((labels.length * widest) / room));
@@ -66,7 +66,7 @@ export function below(svg, labels, x, bottom, room) {
 
 const path = (points) => points.map(([x, y], i) => `${i ? "L" : "M"}${x.toFixed(1)} ${y.toFixed(1)}`).join("");
 
-// Bands and means over time, with the mean of the run beside them.
+// Bands and means over time, with the mean of the run.
 export function fan(width, series, before, labels) {
   const all = [...series.p05, ...series.p95, ...(before ? before.mean : [])].filter(Number.isFinite);
   const low = Math.min(...all), high = Math.max(...all), pad = (high - low || Math.abs(high) || 1) * 0.04;
@@ -90,7 +90,7 @@ export function fan(width, series, before, labels) {
   return chart.svg;
 }
 
-// A bar for each row, with its interval, and the run's own as an outline.
+// A bar for each row, with its interval, and the bar of the run as an outline.
 export function bars(width, rows, before, label) {
   const numbers = rows.flatMap((row, i) => [row.value ?? 0, row.low ?? 0, row.high ?? 0, before?.[i]?.value ?? 0]);
   const low = Math.min(0, ...numbers), high = Math.max(0, ...numbers), pad = (high - low || 1) * 0.03;
@@ -138,7 +138,7 @@ export function tornado(width, rows) {
   return svg;
 }
 
-// Steps from one level to another: a bar for each, which begins where the one before ended.
+// Steps from one level to another: a bar for each, which begins where the previous bar ends.
 export function waterfall(width, start, rows, write) {
   const LINE = 40, levels = [start];
   for (const row of rows) levels.push(levels.at(-1) + (row.change ?? 0));

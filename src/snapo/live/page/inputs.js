@@ -1,4 +1,4 @@
-// The controls: curves and tables by dragging and pasting, single numbers by field and slider.
+// The controls: curves and tables are dragged or pasted, single numbers have a field and a slider.
 
 import { below, drawn, element, frame, node } from "./draw.js";
 import { column, field, parsed, shown, unitWords } from "./numbers.js";
@@ -62,7 +62,7 @@ function titled(input, ...below) {
   return input.box;
 }
 
-// A field that takes a number; it says so where it is none, and changes nothing.
+// A field for a number; a text that is not a number is reported, and changes nothing.
 function entry(input, name, read, write) {
   const box = element("input", { type: "text", inputMode: "decimal", ariaLabel: name });
   box.refresh = () => {
@@ -85,7 +85,7 @@ function entry(input, name, read, write) {
 function single(input, moved) {
   const base = input.values[0], reach = MOVES * usual(input, 0);
   const set = (v, done) => {
-    // The number of the run itself comes back as it was, not through its unit.
+    // The number of the run is restored exactly, without conversion through its unit.
     input.now = [field(v * input.factor) === field(base * input.factor) ? base : v];
     input.show();
     moved(done);
@@ -107,7 +107,7 @@ function single(input, moved) {
   return titled(input, row);
 }
 
-// To a digit below the step, so that a slider gives no numbers like 0.8500000000001.
+// Rounds to one digit below the step, so that a slider gives no numbers like 0.8500000000001.
 function rounded(v, step) {
   const digits = Math.max(0, Math.min(15, 1 - Math.floor(Math.log10(step))));
   return Number(v.toFixed(digits));
@@ -118,7 +118,7 @@ const mean = (numbers, at) => at.reduce((sum, i) => sum + numbers[i], 0) / at.le
 const flat = (numbers, at) => at.every((i) => numbers[i] === numbers[at[0]]);
 const level = (numbers, at) => (flat(numbers, at) ? numbers[at[0]] : mean(numbers, at));
 
-// Puts a handle at a level: flat days stay flat, others keep their shape.
+// Puts a handle at a level: equal numbers stay equal, other numbers keep their shape.
 function put(input, at, v) {
   const by = v - level(input.now, at), alike = flat(input.now, at);
   for (const i of at) input.now[i] = alike ? v : input.now[i] + by;
@@ -135,7 +135,7 @@ function table(input, moved) {
   const paste = (first, text) => {
     const found = column(text), room = input.handles.length - first;
     if (found.bad !== undefined) return input.refuse(`Nothing was pasted: line ${found.line} holds ${JSON.stringify(found.bad)}, which is not a number.`);
-    if (found.numbers.length > room) return input.refuse(`Nothing was pasted: the column has ${found.numbers.length} numbers, but from here on there is room for ${room}.`);
+    if (found.numbers.length > room) return input.refuse(`Nothing was pasted: the column has ${found.numbers.length} numbers, but from this row on there is room for only ${room}.`);
     input.refuse("");
     found.numbers.forEach((v, k) => put(input, input.handles[first + k].at, v / input.factor));
     input.show();
@@ -178,7 +178,7 @@ function table(input, moved) {
 function editor(width, place, input, set) {
   const f = input.factor, now = input.handles.map((h) => level(input.now, h.at) * f), base = input.handles.map((h) => level(input.values, h.at) * f);
   const low = Math.min(...now, ...base), high = Math.max(...now, ...base);
-  // Where all is nothing, the chart reaches as far as a slider would.
+  // If all numbers are 0, the chart has the range of a slider.
   const least = high === low && high === 0 ? MOVES * usual(input, 0) * f : 1e-12;
   const pad = Math.max((high - low) * 0.25, Math.abs(high) * 0.04, least);
   const chart = frame(width, 200, low - pad, high + pad, `${label(input)}: points to drag`);

@@ -1,4 +1,4 @@
-// The page: what the server says is shown, and what the hand moves is sent.
+// The page: it shows what the server sends, and sends what the user moves.
 
 import { bounded, cancelled, health, idle, rest, trained, training } from "./best.js";
 import { explained, firstOrder } from "./change.js";
@@ -72,7 +72,7 @@ function about({ about, page: name }) {
   if (!page.base && !about.follows) {
     at("figure").textContent = shown(about.result.value, 6);
     at("error").textContent = error(about.result.standard_error);
-    at("changes").replaceChildren(fact("of the run", "as solve reported it"));
+    at("changes").replaceChildren(fact("value of the run", "as reported by snapo solve"));
   }
 }
 
@@ -121,7 +121,7 @@ function ready(message) {
   if (lost) trouble(lost);
 }
 
-// A server that was started again offers the inputs that stood on the last page of the one before.
+// A restarted server offers the inputs that the last page of the previous server showed.
 function offered(first) {
   const last = page.about.last;
   if (!first || !last || anything()) return;
@@ -131,7 +131,7 @@ function offered(first) {
   at("offer-take").onclick = () => load(last.values, last.chosen);
 }
 
-// Back at the run's own numbers: nothing to compute.
+// Back at the run's numbers: nothing has to be computed.
 function home() {
   page.n += 1;
   page.now = { ...page.base };
@@ -145,7 +145,7 @@ function home() {
   buttons();
 }
 
-// An input or a choice was moved; `done`: the hand has left its control.
+// An input or a choice was moved; `done`: whether the user has released its control.
 function moved(done) {
   page.n += 1; // what is on its way is of other inputs
   refusal = "";
@@ -163,7 +163,7 @@ function moved(done) {
   else timer = setTimeout(ask, QUIET);
 }
 
-// The address has the state, so that a reload or another page of this server shows it.
+// The address contains the state, so that a reload or another page of this server shows it.
 function address() {
   history.replaceState(null, "", steps.here ? `#${steps.here}` : location.pathname);
 }
@@ -182,16 +182,16 @@ const key = () => JSON.stringify([chosen(), page.policy]);
 const seconds = () => (sent ? Math.floor((performance.now() - sent) / 1000) : 0);
 const isCompiled = () => !Object.keys(chosen()).length || compiled.has(JSON.stringify(chosen()));
 
-// Why the numbers on the page are not of its inputs.
+// The reason why the numbers on the page do not belong to its inputs.
 function reason() {
-  if (refusal) return "for the previous inputs: the present ones are refused";
+  if (refusal) return "for the previous inputs; the present inputs are refused";
   if (!page.ready) return "for the previous inputs; the calculation is starting";
-  if (page.valued === page.n) return "for the previous inputs; the present ones are valued next";
+  if (page.valued === page.n) return "for the previous inputs; the present inputs are valued next";
   const time = seconds() >= LONG ? `, ${seconds()} s` : "";
-  return isCompiled() ? `for the previous inputs; the present ones are being valued${time}` : `for the previous inputs; code for this choice is being compiled, once${time}`;
+  return isCompiled() ? `for the previous inputs; the present inputs are being valued${time}` : `for the previous inputs; code for this choice is being compiled, once${time}`;
 }
 
-// Every stale number is dimmed; the value is shown to first order, where that is known.
+// Dims every stale number; the value is shown to first order if it can be.
 function expect() {
   if (!page.base) return;
   const waits = stale.has("value"), by = waits && !refusal ? firstOrder(page.last, key()) : null;
@@ -201,7 +201,7 @@ function expect() {
   at("value").classList.toggle("pending", waits);
   const long = waits && !refusal && page.ready && sent && (seconds() >= LONG || !isCompiled());
   at("working").hidden = !long;
-  for (const menu of page.menus) menu.busy(long && !isCompiled() && menu.now !== menu.value ? `compiled for this choice, once; it may take a minute: ${seconds()} s so far` : "");
+  for (const menu of page.menus) menu.busy(long && !isCompiled() && menu.now !== menu.value ? `code for this choice is being compiled, once; this may take a minute (${seconds()} s so far)` : "");
   if (waits && !refusal && page.ready) status(seconds() >= LONG ? `revaluing, ${seconds()} s` : "revaluing", "busy");
   if (by !== null) {
     at("figure").textContent = shown(page.last.value + by, 6);
@@ -211,7 +211,7 @@ function expect() {
   buttons();
 }
 
-// Buttons that cannot work say why.
+// Disables buttons that cannot work, and shows the reason.
 function buttons() {
   const why = refusal ? "These inputs are refused, so nothing can be computed."
     : !page.ready ? "The calculation is starting."
@@ -221,10 +221,10 @@ function buttons() {
   at("bound").hidden = !page.bounded;
   at("run-policy").hidden = !page.policy;
   withhold(why || page.busy || "", [at("train"), at("bound"), at("explain")], at("again-why"));
-  withhold(why || (anything() ? "" : "These are the run's own numbers: move an input first."), [at("keep-now")], at("keep-why"));
+  withhold(why || (anything() ? "" : "These are the inputs of the run; move an input first."), [at("keep-now")], at("keep-why"));
   at("undo").disabled = !steps.past.length;
   at("redo").disabled = !steps.future.length;
-  at("undo").title = steps.past.length ? "Ctrl+Z" : "no input was moved yet";
+  at("undo").title = steps.past.length ? "Ctrl+Z" : "no input has been moved yet";
   at("redo").title = steps.future.length ? "Ctrl+Shift+Z" : "nothing was undone";
 }
 
@@ -264,7 +264,7 @@ function facts(by, found, none = "…") {
     if (by !== null) rows.push(fact("change to first order", signed(by)));
     rows.push(fact("change, revalued", found ? signed(found.change) : none, found ? error(found.change_error) : ""));
   }
-  if (page.policy) rows.push(fact("policy", typeof page.policy === "string" ? "that of the scenario" : "trained again here"));
+  if (page.policy) rows.push(fact("policy", typeof page.policy === "string" ? "from the scenario" : "trained again here"));
   at("changes").replaceChildren(...rows);
 }
 
@@ -313,7 +313,7 @@ function use(policy) {
   moved(true);
 }
 
-// A step back or forth, or an address that was typed.
+// A step back or forward, or an address that was typed.
 function jump(text) {
   if (text === null || !page.base) return;
   restore(text);
@@ -341,7 +341,7 @@ const work = (id, order, words) => at(id).addEventListener("click", () => {
   buttons();
 });
 work("train", "train", "training starts");
-work("explain", "explain", "one input after another is valued");
+work("explain", "explain", "the inputs are moved and valued one after another");
 work("bound", "bound", "the bound is being computed, which takes some seconds");
 at("cancel").addEventListener("click", () => send({ do: "cancel" }));
 at("adopt").addEventListener("click", () => use(page.trained));

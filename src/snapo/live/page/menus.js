@@ -1,4 +1,4 @@
-// Words and switches of the case: what is allowed stands in a menu.
+// Options and switches of the case: a menu shows the allowed values.
 
 import { element } from "./draw.js";
 
@@ -11,7 +11,7 @@ export function menus(place, choices, moved) {
   const box = element("details", { className: "group", open: choices.length < 4 }, element("summary", {}, "Choices", mark));
   const made = choices.map((choice) => {
     const menu = element("select", { ariaLabel: choice.title }, ...choice.allowed.map((value, i) => element("option", { value: String(i) }, words(value))));
-    const row = element("div", { className: "input" }, element("div", { className: "title" }, element("label", {}, element("b", {}, choice.title), " ", menu), element("span", {}, `the run has ${words(choice.value)}`)));
+    const row = element("div", { className: "input" }, element("div", { className: "title" }, element("label", {}, element("b", {}, choice.title), " ", menu), element("span", {}, `in the run: ${words(choice.value)}`)));
     const note = element("p", { className: "quiet", role: "status", hidden: true });
     row.append(note);
     row.dataset.choice = choice.name;

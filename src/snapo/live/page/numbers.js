@@ -1,4 +1,4 @@
-// Numbers as people read and write them.
+// Numbers in the form in which people read and write them.
 
 const formats = new Map();
 
@@ -8,7 +8,7 @@ function format(options) {
   return formats.get(key);
 }
 
-// A number with a sensible number of digits; a dash where there is none.
+// A number with a sensible number of digits; a dash if there is no number.
 export function shown(x, digits = 5) {
   return written(x, digits).replace(/^-/, "−");
 }
@@ -27,7 +27,7 @@ export function signed(x, digits = 5) {
   return x > 0 ? `+${shown(x, digits)}` : shown(x, digits);
 }
 
-// Half of the 95 % interval, from a standard error: nothing else stands after ±.
+// Half of the 95 % interval, from a standard error: the only number that is written after ±.
 export const HALF = 1.959964;
 export const error = (x) => (Number.isFinite(x) && x !== null ? `± ${shown(HALF * x, 2)}` : "");
 
@@ -42,7 +42,7 @@ export function nearness({ gradient, noise, at_training: before }, run = {}) {
   const verdict = run.verdict || (open ? `the training is “${run.convergence}”` : "");
   const said = verdict ? ` The verdict on the run itself: ${verdict.replace(/[.]$/, "")}.` : "";
   const near = open
-    ? `The policy is about as near its best here as at the run's inputs: its gradient is ${times || "no more than noise, as it is there"}. But whether it is near its best there is not settled.`
+    ? `The policy is about as near its best here as at the run's inputs: its gradient is ${times || "no more than noise, as it is there"}. However, it is not certain that it is near its best there.`
     : `The policy is near its best here, as its gradient shows: it is ${times || "no more than noise, as it was at the inputs of training"}.`;
   const words = away
     ? `The policy is no longer near its best here: its gradient ${times ? `is ${times}` : "is above its noise, and was not at the inputs of training"}. The value shown is still exact for this policy, but a better policy is likely to exist. Press "Train again here" to see how much it gains.`

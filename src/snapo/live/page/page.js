@@ -37,7 +37,7 @@ function mark(card, reason) {
   else card.prepend(element("p", { className: "reason" }, reason));
 }
 
-// Switches buttons off, with the reason beside them; without one they work.
+// Disables buttons and shows the reason next to them; without a reason they are enabled.
 export function withhold(reason, buttons, place) {
   for (const button of buttons) {
     button.disabled = Boolean(reason);

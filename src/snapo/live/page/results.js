@@ -23,7 +23,7 @@ export function today(found) {
 
 const headed = (name, unit) => capital(unit ? `${name}, ${unitWords(unit)}` : name);
 
-// The domain's own sections. A column of standard errors stands in the one before it.
+// The sections of the domain. A column of standard errors is shown in the column before it.
 export function sections(found) {
   const text = (each) => (typeof each === "string" ? each : shown(each));
   at("sections").replaceChildren(...found.map(({ title, description, columns, rows, facts = [] }) => {
@@ -48,7 +48,7 @@ export function choices() {
   at("fan-name").replaceChildren(...series.map((each, i) => element("option", { value: i, selected: each === first }, seriesName(each, series))));
 }
 
-// The name of a series for people; where a state and an output share one, their kind too.
+// The name of a series for users, with its kind if a state and an output share the name.
 const KINDS = { state: "state", action: "decision", outputs: "output of one step" };
 
 function seriesName(each, series) {
@@ -63,9 +63,9 @@ export function deltas(found) {
   const scaled = (table) => table.find((each) => each.input === name && (!of || each.of === of)).rows.map((row) => ({ ...row, ...Object.fromEntries(["value", "low", "high"].map((key) => [key, row[key] === null ? null : row[key] / input.factor])) }));
   const rows = scaled(found), base = scaled(page.base.deltas), per = unit(input) || "1";
   drawn(at("delta-chart"), (width) => bars(width, rows, found === page.base.deltas ? null : base, `Deltas of ${label(input)}`));
-  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines: the run's inputs.` : `${quotient(page.unit || "Value", per)}; lines: 95 % intervals of sampling and policy; outlines: the run's inputs.${reported(input)}`;
+  at("delta-note").textContent = of ? `${of}, ${mine[0].of_unit}, per ${per}, at the set point; outlines show the run's inputs.` : `${quotient(page.unit || "Value", per)}; lines show 95 % intervals (sampling and policy), outlines the deltas at the run's inputs.${reported(input)}`;
   const number = alike([...rows, ...base].map((row) => row.value));
-  const head = element("tr", {}, ...["", "now", "low", "high", "the run's"].map((text) => element("th", { scope: "col" }, text)));
+  const head = element("tr", {}, ...["", "now", "low", "high", "in the run"].map((text) => element("th", { scope: "col" }, text)));
   at("delta-table").replaceChildren(head, ...rows.map((row, i) => element("tr", {}, ...[row.label || label(input), ...[row.value, row.low, row.high, base[i].value].map(number)].map((text) => element("td", {}, text)))));
   const effects = mine.map((each) => ({ each, input: page.inputs.find((i) => i.name === each.input) })).filter(({ each }) => each.effect);
   effects.sort((a, b) => Math.abs(b.each.effect) - Math.abs(a.each.effect));
@@ -75,10 +75,10 @@ export function deltas(found) {
 // The unit of a derivative: "MWh" for EUR per EUR/MWh.
 const quotient = (top, per) => (per === "1" ? top : per.startsWith(`${top}/`) ? per.slice(top.length + 1) : `${top} per ${per}`);
 
-// Where the derivative of an input comes from, unless it is that with the decisions held fixed.
+// The source of an input's derivative, unless it is the derivative with the decisions held fixed.
 const reported = (input) => ({
-  "through the policy": " A bump contradicted the derivative with the decisions held fixed. At the run's inputs the number shown is that of the bump; at other inputs it changes as much as the derivative with the decisions held fixed.",
-  "range": " At the run's inputs an increase and a decrease of this input have different effects: the interval contains both.",
+  "through the policy": " A bump contradicted the derivative with the decisions held fixed. At the run's inputs, the number shown is the result of the bump; at other inputs, it changes by as much as the derivative with the decisions held fixed.",
+  "range": " At the run's inputs, an increase and a decrease of this input have different effects; the interval contains both.",
   "not known": " The derivative with respect to this input is not known.",
 })[input.source] ?? "";
 

@@ -1,11 +1,11 @@
-// Named scenarios: kept, compared, taken away.
+// Named scenarios: saved, compared, downloaded.
 
 import { element } from "./draw.js";
 import { unit } from "./inputs.js";
 import { error, shown, signed } from "./numbers.js";
 import { at, page } from "./page.js";
 
-// By how much an input moved: from one number to another, all by one shift or factor, or some.
+// The move of an input as text: from one number to another, one shift or factor for all, or some numbers.
 export function movedBy(input, numbers) {
   const f = input.factor, old = input.values, by = numbers.map((v, i) => (v - old[i]) * f);
   const name = unit(input), alike = (xs) => xs.every((x) => Math.abs(x - xs[0]) <= 1e-9 * Math.abs(xs[0]));
@@ -16,7 +16,7 @@ export function movedBy(input, numbers) {
   return `${some.length} of ${old.length}: ${signed(Math.min(...some))} to ${signed(Math.max(...some))} ${name}`.trim();
 }
 
-// What a scenario moved: [name, how] for every input and choice.
+// The moves of a scenario: [name, move] for every input and choice.
 function moves(each, called) {
   const inputs = Object.entries(each.values).map(([name, numbers]) => {
     const input = page.inputs.find((found) => found.name === name && found.values.length === numbers.length);
@@ -34,7 +34,7 @@ function beside(found, called) {
   const number = (key, more, write) => found.map((each) => `${write(each.value?.[key])} ${error(each.value?.[more])}`);
   at("beside-table").replaceChildren(head,
     cells("Value", number("value", "standard_error", (x) => shown(x, 6))), cells("Change", number("change", "change_error", signed)),
-    ...names.map((name) => cells(name, all.map((map) => map.get(name) ?? "as the run"))));
+    ...names.map((name) => cells(name, all.map((map) => map.get(name) ?? "as in the run"))));
 }
 
 export function scenarios(found, { load, keep, forget, called }) {

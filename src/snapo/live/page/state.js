@@ -1,4 +1,4 @@
-// The inputs and choices as text: for the address, and for steps back.
+// The inputs and choices as text, for the address and for steps back.
 
 import { changed } from "./inputs.js";
 import { page } from "./page.js";
@@ -35,7 +35,7 @@ export function restore(text) {
   }
 }
 
-// Steps: `record` after each, `back` and `forth` give the text of another one, or null.
+// Steps: call `record` after each; `back` and `forth` return the text of another step, or null.
 export class Steps {
   past = [];
   future = [];

@@ -1,4 +1,5 @@
-"""Bounds on the value: the policy from below, perfect foresight with a penalty from above."""
+"""Bounds on the value: the value of the policy from below, and perfect foresight with a penalty
+from above."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +30,8 @@ class BoundInterval:
 
 @dataclass(frozen=True)
 class ValueBounds:
-    """The row of a `snapo.Bound`; `lower` is the value of the run, `upper` adds the gap."""
+    """The numbers of a `snapo.Bound`; `lower` is the value of the run, and `upper` is this value
+    plus the gap."""
 
     lower: BoundInterval
     upper: BoundInterval
@@ -44,14 +46,14 @@ class ValueBounds:
 
     @classmethod
     def of(cls, result: solver.Bound) -> "ValueBounds":
-        """Its row."""
+        """The numbers of a bound."""
         row = result.row()
         endpoints = {name: BoundInterval(**row.pop(name)) for name in ("lower", "upper", "gap")}
         return cls(**endpoints, **row)
 
 
 def measure(run: StudyRun, paths: int = PATHS, penalty: Penalty = "value") -> ValueBounds:
-    """The bounds of the run's value: upper is never below the value that the run reports.
+    """The bounds of the run's value; the upper bound is never below the value that the run reports.
 
     **Raises:** `ValueError` if the study has no bound, with the reason.
     """
@@ -80,12 +82,12 @@ def value_bounds(run: RunFiles) -> Section:
     section = BOUND(run)
     if BOUND.name in run.parts or BOUND.of(run) is not None:
         return section
-    text = "This run has no upper bound of the value; `snapo certify` computes it."
+    text = "This run has no upper bound on the value; `snapo certify` computes it."
     return replace(section, blocks=[Text(text)])
 
 
 def optimum(run: RunFiles, cost: bool = False) -> str:
-    """The bound as a sentence for the first screen; empty if there is none, or it is too wide.
+    """The bound as a sentence for the first screen; empty if there is no bound or it is too wide.
 
     `cost`: whether the value is minus a cost, so that the bound is a minimum cost.
     """
@@ -106,7 +108,8 @@ def optimum(run: RunFiles, cost: bool = False) -> str:
 
 
 def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
-    """Lower and upper bound with their 95 % intervals, and the gap between them in a sentence."""
+    """Shows the lower and upper bound with their 95 % intervals, and the gap between them in a
+    sentence."""
     digits = decimals([result.upper.value], 6)
     rows = [("Trained policy", result.lower), ("Upper bound", result.upper)]
     columns = [
@@ -114,7 +117,7 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
         Column("Value", lambda row: WithError(row[1].value, row[1].standard_error), run.unit),
     ]
     caption = f"On {number(result.paths, 0)} paths; ± is half of a 95 % interval"
-    all_rows = [*rows, ("Gap, path by path", result.gap)]
+    all_rows = [*rows, ("Gap, computed path by path", result.gap)]
     blocks: list[Block] = [
         Text(sentence(run, result, digits)),
         _chart(run, result, rows, digits),
@@ -123,7 +126,7 @@ def show(run: RunFiles, result: ValueBounds) -> Sequence[Block]:
     low, high = result.sure
     if low is not None and high is not None:
         values = f"{number(low, decimals([low], 4))} and {number(high, decimals([high], 4))}"
-        blocks.append(Text(f"As certainty equivalents the two bounds are {values}."))
+        blocks.append(Text(f"As certainty equivalents, the two bounds are {values}."))
     return blocks
 
 
@@ -136,9 +139,9 @@ def sentence(run: RunFiles, result: ValueBounds, digits: int) -> str:
         return f"This bound {small}. No policy earns more than {run.value_text(top, None, digits)}."
     share = f", {percent(gap / abs(low), 2)} of its value" if low else ""
     return (
-        f"No policy earns more than {run.value_text(top, None, digits)}: the best one earns at "
-        f"most {run.value_text(gap, None, digits)} more than the trained one{share} (95 % "
-        "intervals)."
+        f"No policy earns more than {run.value_text(top, None, digits)}: the best policy earns at "
+        f"most {run.value_text(gap, None, digits)} more than the trained policy{share} (95 % "
+        f"intervals)."
     )
 
 
@@ -169,9 +172,10 @@ def _chart(
 
     svg = draw("bounds", f"Two points with 95 % intervals. {texts}.", paint, 120)
     caption = (
-        "The upper bound is the value plus the gap. The gap is the mean over fresh paths of the"
-        " earnings of the best decisions with perfect foresight, minus those of the policy. For "
-        f"policies without foresight the penalty for foresight has mean zero ({result.words})."
+        "The upper bound is the value plus the gap. The gap is the mean over fresh paths of the "
+        "earnings of the best decisions with perfect foresight, less a penalty for foresight, "
+        "minus the earnings of the policy. For policies without foresight, the penalty has mean "
+        f"zero ({result.words})."
     )
     return Chart(svg, caption)
 

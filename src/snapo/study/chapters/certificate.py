@@ -1,4 +1,4 @@
-"""Evidence for the value: the adjoint against bumps, and the limits of the simulator."""
+"""Evidence for the value: the adjoint compared with bumps, and the limits of the simulator."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -24,9 +24,9 @@ TITLE = "Certificate: evidence for this number"
 
 @dataclass(frozen=True)
 class BumpRow:
-    """The adjoint against central differences of a family of inputs, per unit of the input.
+    """The adjoint compared with central differences for a family of inputs, per unit of the input.
 
-    - `inputs`: a description of the direction, or how many inputs were bumped.
+    - `inputs`: a description of the direction, or the number of bumped inputs.
     - `worst_error`, `allowed`: the largest and the allowed error of the adjoint, in the unit of the
       value.
     - `passed`: None if most paths are at a kink; `crossing`: the share of paths at a kink.
@@ -43,7 +43,7 @@ class BumpRow:
 
 @dataclass(frozen=True)
 class LimitRow:
-    """The smallest slack of a limit over all paths and steps, and where it was."""
+    """The smallest slack of a limit over all paths and steps, and its position."""
 
     limit: str = ""
     worst: float | None = None
@@ -63,20 +63,20 @@ class Certificate:
 
     @property
     def checks(self) -> list[tuple[str, bool]]:
-        """(subject, whether it holds) of every check with a verdict."""
+        """(subject, whether the check holds) for every check with a verdict."""
         rows = [(row.family, row.passed) for row in self.bump_check]
         rows += [(row.limit, row.passed) for row in self.feasibility]
         return [(name.replace("_", " "), passed) for name, passed in rows if passed is not None]
 
 
 def largest(problem: Problem) -> float:
-    """The size of the largest number among the inputs, at least one."""
+    """The largest absolute value of a number of the inputs, or 1 if that is larger."""
     sizes = [np.max(np.abs(entry.value), initial=1.0) for entry in problem.inputs_by_name.values()]
     return float(max(sizes, default=1.0))
 
 
 def round_off(problem: Problem) -> float:
-    """The allowed violation of a limit by round-off, in the largest unit of the inputs."""
+    """The allowed violation of a limit by round-off, relative to the largest input."""
     return ROUND_OFF * largest(problem)
 
 
@@ -92,18 +92,17 @@ def certificate(
 ) -> Chapter[Any]:
     """The chapter "certificate": bumps, limits, the smoothing gap and the policy's gradient.
 
-    Bumps are made at the inputs, and also near them if most paths are at kinks; inputs whose
-    derivative is correct only in the mean are tested by their move. Limits are those of the
-    simulator's `slack`.
+    Bumps are made at the inputs, and also near them if most paths are at kinks. Inputs whose
+    derivative is correct only in the mean are tested by their standard move. The limits are those
+    in the simulator's `slack`.
 
     **Arguments:**
 
-    - `bump_paths`: the paths of the differences.
-    - `tolerance`: the allowed violation of a limit; `near`: the problem at a small distance from
-      kinks.
+    - `bump_paths`: the number of paths for the differences. - `tolerance`: the allowed violation of
+      a limit; `near`: the problem at a small distance from kinks.
     - `problem_of`: the problem to certify.
-    - `result`: the class of the result, with the further fields that `more` returns.
-    - `show`: the blocks of its section, if they are not those of `show_certificate`.
+    - `result`: the class of the result, whose further fields `more` returns.
+    - `show`: returns the blocks of the section, by default those of `show_certificate`.
     """
 
     def measure(run: StudyRun) -> Certificate:
@@ -132,7 +131,7 @@ def certificate(
 
 
 def show_certificate(run: RunFiles, result: Certificate) -> list[Block]:
-    """The tables of bumps and of limits."""
+    """Shows the tables of bumps and of limits."""
     step = str(run.get("step", "step")).capitalize()
     if not result.feasibility:
         text = "The simulator declares no limits: its method `slack` names none."
@@ -143,7 +142,8 @@ def show_certificate(run: RunFiles, result: Certificate) -> list[Block]:
 def bump_table(
     result: Certificate, unit: str, name_of: Callable[[str], str] = readable
 ) -> Table | Missing:
-    """The adjoint against differences, one row per family of inputs; errors in `unit`."""
+    """The adjoint compared with differences, with a row for each family of inputs; errors are in
+    `unit`."""
     rows = result.bump_check
     if not rows:
         return Missing("The adjoint was not checked against central differences in this run.")
@@ -151,7 +151,7 @@ def bump_table(
         (
             name_of(row.family),
             _direction(row.inputs),
-            evidence.verdict(row.passed, "holds", "fails", "at kinks: see the row “nearby”"),
+            evidence.verdict(row.passed, "holds", "fails", "at kinks; see the row “nearby”"),
             power(row.worst_error),
             power(row.allowed),
             percent(row.crossing) if row.crossing else "",
@@ -165,12 +165,15 @@ def bump_table(
     folded = f"Adjoint compared with bumps: {sum(verdicts)} of {len(verdicts)} agree"
     if (worst := _nearest(rows)) is not None:
         error, allowed = quantity_of(worst.worst_error, unit), power(worst.allowed)
-        folded += f"; the largest error is {error} of {allowed} allowed ({name_of(worst.family)})"
+        name = name_of(worst.family)
+        folded += (
+            f"; the error closest to its tolerance is {error}, where {allowed} is allowed ({name})"
+        )
     return Table(head, body, caption, 3, folded=folded)
 
 
 def quantity_of(value: float | None, unit: str) -> str:
-    """A size of error with its unit."""
+    """The size of an error with its unit."""
     return f"{power(value)} {unit}".rstrip()
 
 
@@ -190,7 +193,8 @@ def limit_table(
     step: str,
     when: Callable[[Any], str] = lambda step: number(finite(step), 0),
 ) -> Table | Missing:
-    """The smallest slack of every limit, in `unit`; `step` names a step and `when` labels one."""
+    """The smallest slack of every limit, in `unit`; `step`: the noun for a step; `when`: returns
+    the label of a step."""
     if not result.feasibility:
         return Missing("The exact simulator's limits were not checked in this run.")
     body = [
@@ -217,7 +221,7 @@ def limit_table(
 
 
 def _direction(inputs: str | float | None) -> str:
-    """The bump: a description of the direction, or how many inputs."""
+    """The bump as text: a description of the direction, or the number of inputs."""
     count = None if isinstance(inputs, str) else finite(inputs)
     return str(inputs or "") if count is None else number(count, 0)
 

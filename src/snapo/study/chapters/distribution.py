@@ -1,4 +1,4 @@
-"""How the total of every output is distributed over the paths of the evaluation."""
+"""The distribution of the total of every output over the paths of the evaluation."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -33,13 +33,14 @@ COLUMNS = (
 
 @dataclass(frozen=True)
 class OutputTotal:
-    """The total of an output over a path: moments, quantiles and a histogram, in its `unit`.
+    """The distribution of an output's total over a path: moments, quantiles and a histogram, in its
+    `unit`.
 
-    - `paths`: the number of paths with a finite total; the other numbers are NaN or empty if there
-      is none.
+    - `paths`: the number of paths with a finite total; if there are none, the other numbers are NaN
+      or empty.
     - `tail_mean`: the mean of the smallest 5 % of the totals.
     - `quantiles`, `quantile_errors`: {"p05": number}; errors are standard errors.
-    - `edges` [B + 1], `counts` [B]: the outermost bins have the paths outside of the edges too.
+    - `edges` [B + 1], `counts` [B]: the outermost bins include the paths outside of the edges.
     """
 
     name: str = ""
@@ -64,7 +65,8 @@ class OutputTotals:
 
 
 def measure(run: StudyRun) -> OutputTotals:
-    """The totals of the trained policy's evaluation; units are those of the study's `about`."""
+    """Measures the totals in the evaluation of the trained policy; units are taken from the study's
+    `about`."""
     units: Mapping[str, str] = run.study.about.get("units", {})
     paths = np.arange(run.solution.paths["evaluate"])
     groups = run.setup.problem.sources.evaluation.groups(paths)
@@ -80,8 +82,8 @@ def measure(run: StudyRun) -> OutputTotals:
 def distributed(
     total: np.ndarray, groups: np.ndarray, name: str = "", unit: str = ""
 ) -> OutputTotal:
-    """The distribution of totals [paths] that are finite; `groups` [paths]: the groups of dependent
-    paths."""
+    """The distribution of the finite numbers among totals [paths]; `groups` [paths]: the groups of
+    dependent paths."""
     finite = np.isfinite(total)
     total, groups = total[finite], groups[finite]
     if not total.size:
@@ -111,7 +113,7 @@ def distributed(
 
 
 def show(run: RunFiles, result: OutputTotals) -> list[Block]:
-    """A histogram for each of the first outputs, and one table for all of them."""
+    """Shows a histogram for each of the first outputs, and one table for all outputs."""
     first = run.get("objective_output")
     totals = [total for total in result.distribution if total.paths and run.title_of(total.name)]
     totals.sort(key=lambda total: total.name != first)
@@ -136,7 +138,7 @@ PLAIN = (
 
 
 def _plain_mean(run: RunFiles, totals: Sequence[OutputTotal], first: str) -> list[Text]:
-    """A sentence where the mean of the objective's output is not the value of the run."""
+    """A sentence for runs in which the mean of the objective's output is not the value."""
     value, objective = run.result.value, str(run.get("objective", ""))
     means = [total.mean for total in totals if total.name == first]
     if value is None or not means or not objective.startswith("mean"):
@@ -161,8 +163,8 @@ def histogram(anchor: str, total: OutputTotal, title: str = "") -> Chart:
         220,
     )
     caption = (
-        f"{name}: the total of a path, for {paths} paths under the exact rules. The outermost bins "
-        "contain the paths outside of the edges, too."
+        f"{name}: the total of a path, for {paths} paths under the exact rules. The outermost "
+        f"bins include the paths outside of the edges."
     )
     return Chart(svg, caption)
 

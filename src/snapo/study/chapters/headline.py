@@ -21,7 +21,7 @@ from .certificate import checks
 STATUS = {
     "ok": "done",
     "trained": "trained to the end",
-    "stopped early": "training stopped early, as asked",
+    "stopped early": "training stopped early, as requested",
 }
 
 
@@ -46,12 +46,12 @@ def headline(run: RunFiles) -> Section:
 
 
 def common_paths(run: RunFiles) -> list[Text]:
-    """A text that compares the trained policy with its starting rule on the same paths, since
-    their values in a table come from different paths; empty if they were not compared."""
+    """A text that compares the trained policy with its starting rule on the same paths, since the
+    values in the table are from different paths; empty if they were not compared."""
     gain, error = (finite(run.get(f"solution.{name}")) for name in ("gain", "gain_error"))
     if run.get("solution.selected") == "start":
-        text = "The policy of this run is its starting rule, which training did not improve on"
-        return [Text(f"{text}: on common paths their difference is 0.")]
+        text = "The policy of this run is its starting rule, because training did not improve it"
+        return [Text(f"{text}; on common paths their difference is 0.")]
     if gain is None:
         return []
     more = "more" if gain >= 0 else "less"
@@ -62,7 +62,7 @@ def common_paths(run: RunFiles) -> list[Text]:
 
 
 def marks(run: RunFiles) -> list[Mark]:
-    """The state of the run, and of its checks together."""
+    """The state of the run, and the result of all its checks."""
     status = run.result.status
     result = [Mark(status in STATUS, STATUS.get(status, status))] if status else []
     return [*result, *check_marks(checks(run))]

@@ -1,9 +1,9 @@
-"""Methods side by side: one contract, on the same paths, by every available method.
+"""Methods side by side: values one contract on the same paths by every available method.
 
     snapo solve --ladder
 
-A bound from below never exceeds one from above: if two methods are in the wrong order by three
-standard errors, one of them is wrong, and the run warns of it.
+A lower bound never exceeds an upper bound. If two methods are in the wrong order by three standard
+errors, one of them is wrong, and the run prints a warning.
 """
 
 import time
@@ -51,10 +51,10 @@ ROUNDING = 1e-5  # of the largest value: of methods without sampling
 class MethodRow:
     """The value by one method.
 
-    - `standard_error`: the standard error of sampling, or the last move of a grid; None for an
-      exact value.
-    - `seconds`: how long the method took. `share`: the share of the extrinsic value, from the
-      intrinsic value by day (0) to the lattice, or without one to the policy (1).
+    - `standard_error`: the standard error of sampling, or the change of the value at the last
+      refinement of a grid; None for an exact value.
+    - `seconds`: the time of the method. `share`: the position between the intrinsic value by day
+      (0) and the value of the lattice or, without a lattice, of the policy (1).
     - `difference`: the difference from the trained policy, on the same paths.
     """
 
@@ -70,7 +70,7 @@ class MethodRow:
 
 @dataclass(frozen=True)
 class MissingMethod:
-    """A method that has no value here, and why."""
+    """A method that has no value for this contract, with the reason."""
 
     method: str
     reason: str
@@ -94,8 +94,7 @@ class Estimated(NamedTuple):
 
 
 class ValuationMethod(NamedTuple):
-    """A method: its name, its meaning, and a function: [N] by path, or one value.
-
+    """A method: its name, its meaning, and a function that returns values by path [N] or one value.
     The function raises `ValueError` with the reason if there is no value.
     """
 
@@ -106,19 +105,20 @@ class ValuationMethod(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class CommonPaths:
-    """Paths of the trained policy: (draws, rollout) by block; `earned` [N], in their order."""
+    """Paths of the trained policy: (draws, rollout) by block; `earned` [N]: the earnings of the
+    paths, in their order."""
 
     rollouts: Sequence[tuple[Draws, Rollout]]
     earned: np.ndarray
     groups: np.ndarray
 
     def joined(self, of: Callable[[Draws, Rollout], np.ndarray]) -> np.ndarray:
-        """The results of a function of a block, [..., N] for all blocks."""
+        """Applies a function to every block and joins the results, [..., N]."""
         return np.concatenate([of(*rollout) for rollout in self.rollouts], axis=-1)
 
 
 def common_paths(run: StudyRun, paths: int = PATHS) -> CommonPaths:
-    """Fresh paths, where they can be drawn, with the trajectory of the policy."""
+    """Fresh paths, if they can be drawn, with the trajectory of the policy."""
     setup, policy = run.setup, run.solution.policy
     problem = setup.problem
     if policy is None:
@@ -139,7 +139,7 @@ def common_paths(run: StudyRun, paths: int = PATHS) -> CommonPaths:
 def side_by_side(
     run: StudyRun, paths: CommonPaths, methods: Sequence[ValuationMethod]
 ) -> MethodLadder:
-    """All methods, one after another; writes ladder.csv."""
+    """Values the contract by all methods, one after another; writes ladder.csv."""
     values, seconds, missing = {}, {}, []
     for method in methods:
         began = time.perf_counter()
@@ -175,7 +175,7 @@ def _estimated(value: np.ndarray | Estimated, groups: np.ndarray) -> Estimated:
 
 
 def _difference(one: Any, other: Any, groups: np.ndarray) -> Estimated:
-    """One value minus the other, path by path where both have paths."""
+    """One value minus the other, path by path if both have paths."""
     if isinstance(one, np.ndarray) and isinstance(other, np.ndarray):
         return _estimated(one - other, groups)
     (a, error_a), (b, error_b) = (_estimated(x, groups) for x in (one, other))
@@ -208,7 +208,7 @@ def _wrong_order(values: ByMethod, groups: np.ndarray):
 
 
 def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:
-    """A ladder, a table, and the order of the methods."""
+    """Shows a ladder chart, a table, and the order of the methods."""
     rows = result.methods
     if not rows:
         return [why_missing(run, METHODS.name)]
@@ -219,7 +219,7 @@ def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:
         Column("Value", lambda row: WithError(row.value, row.standard_error), run.unit, digits=6),
         Column("Share of extrinsic value", _percent, "%", decimal_places=1),
         Column(
-            "Less the policy",
+            "Minus the policy",
             lambda row: WithError(row.difference, row.difference_error),
             run.unit,
             sign=True,
@@ -233,7 +233,7 @@ def show(run: RunFiles, result: MethodLadder) -> Sequence[Block]:
     blocks: list[Block] = [ladder("methods-ladder", bars, caption), table(rows, columns)]
     right = "All methods are in the right order: no lower bound is above an upper bound."
     blocks += [Text(f"Warning: {x}.") for x in result.warnings] or [Text(right)]
-    return blocks + [Text(f"{x.method}: no value, for {x.reason}.") for x in result.missing]
+    return blocks + [Text(f"{x.method}: no value, because {x.reason}.") for x in result.missing]
 
 
 def _percent(row: MethodRow) -> float | None:

@@ -29,11 +29,12 @@ HEADINGS = {"state": "state", "action": "decision", "outputs": "output of one st
 
 @dataclass(frozen=True)
 class BandSeries:
-    """Bands of one number over time: of states [T + 1], of decisions and outputs [T].
+    """Bands of one number over time: [T + 1] for states, [T] for decisions and outputs.
 
     - `name`: "water", "stock.0"; `kind`: "state", "action" or "outputs"; `unit`: the unit of its
       numbers.
-    - `mean`, `p01` …: mean and quantiles over the paths, NaN at steps where no path is finite.
+    - `mean`, `p01` …: the mean and quantiles over the paths; NaN at steps at which no path is
+      finite.
     """
 
     name: str
@@ -56,7 +57,7 @@ class BandSeries:
 
     @property
     def constant(self) -> float | None:
-        """Its number if it is the same at every step of every path; None if it varies."""
+        """The number, if it is the same at every step of every path; None if it varies."""
         lines = self.lines
         if not {"mean", "p01", "p99"} <= lines.keys():
             return None
@@ -73,7 +74,7 @@ class BandSeries:
 
 @dataclass(frozen=True)
 class BandProfile:
-    """All series; `paths`: over which their bands are; `notes`: sentences on omissions."""
+    """All series; `paths`: the number of paths of their bands; `notes`: sentences on omissions."""
 
     series: tuple[BandSeries, ...] = ()
     paths: Number = 0
@@ -88,7 +89,7 @@ def profile(
 ) -> Chapter[BandProfile]:
     """The chapter "profile".
 
-    - `without`: names of states that are left out.
+    - `without`: names of states that are omitted.
     - `together`: the number of steps in a period, for which the first state and the sums of outputs
       are shown.
     - `factor`: the factor by which the numbers of a series are multiplied in the report.
@@ -105,7 +106,7 @@ def profile(
 
 
 def measure(run: StudyRun, without: Collection[str] = (), together: int = 1) -> BandProfile:
-    """The bands of the trained policy; units are those of the study's `about`."""
+    """Measures the bands of the trained policy; units are taken from the study's `about`."""
     horizon, units = run.setup.problem.simulator.horizon, run.study.about.get("units", {})
     requested = min(PATHS, max(256, MAX_NUMBERS // horizon))
     series, notes, paths = [], [], 0
@@ -154,13 +155,13 @@ def recorded(setup: Setup, policy, paths: int) -> Iterator[tuple[str, str, np.nd
 
 
 def leaves(tree: Any) -> dict[str, Any]:
-    """{dotted name: array} of a tree; the name of a tree that is one array is empty."""
+    """{dotted name: array} of a tree; if the tree is a single array, its name is empty."""
     paths = jax.tree_util.tree_flatten_with_path(tree)[0]
     return {jax.tree_util.keystr(path, simple=True, separator="."): leaf for path, leaf in paths}
 
 
 def bands(values: np.ndarray) -> dict[str, np.ndarray]:
-    """Mean and quantiles over the finite paths of numbers [T, paths]; NaN if there is none."""
+    """Mean and quantiles of numbers [T, paths] over the finite paths; NaN if there are none."""
     if values.size and np.isfinite(values).all():  # at once, and not row by row
         return {"mean": values.mean(1), **dict(zip(QUANTILES, _quantiles(values)))}
     masked = np.where(np.isfinite(values), values, np.nan)
@@ -172,7 +173,8 @@ def bands(values: np.ndarray) -> dict[str, np.ndarray]:
 
 
 def _quantiles(values: np.ndarray) -> np.ndarray:
-    """[quantiles, T] of finite numbers [T, paths], as `np.quantile` finds them, in less time."""
+    """[quantiles, T] of finite numbers [T, paths]; the same results as `np.quantile`, in less
+    time."""
     ordered = np.sort(values, axis=1)
     position = np.array(list(QUANTILES.values())) * (values.shape[1] - 1)
     left = np.floor(position).astype(int)
@@ -185,7 +187,7 @@ def show(
     result: BandProfile,
     factor: Callable[[RunFiles, BandSeries], float] = lambda run, series: 1.0,
 ) -> Sequence[Block]:
-    """A fan for every number of the state, of the decision and of the outputs."""
+    """Shows a fan for every number of the state, the decision and the outputs."""
     series = [x.times(factor(run, x)) for x in result.series if run.title_of(x.name)]
     step, paths = str(run.get("step", "step")), number(result.paths, 0)
     blocks: list[Block] = []
@@ -196,7 +198,9 @@ def show(
             _fan(run, f"fan-{kind}-{i}", x, step, paths) for i, x in enumerate(varying[:PICTURES])
         ]
         if len(varying) > PICTURES:
-            blocks.append(Text(f"Not drawn: {len(varying) - PICTURES} more of this kind.", True))
+            blocks.append(
+                Text(f"{len(varying) - PICTURES} more charts of this kind are not drawn.", True)
+            )
         for x in of_kind:
             if (level := x.constant) is not None:
                 size = quantity(level, x.unit)

@@ -1,4 +1,5 @@
-"""Sensitivities: the effect of each input's standard move, and every derivative with its error."""
+"""Sensitivities: the effect of every input's standard move, and all derivatives with their
+errors."""
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -35,29 +36,28 @@ SHARE = 0.01  # of every number of an input that does not specify its `move`
 LONGEST = 15  # bars of the tornado
 ROWS = 400  # derivatives in the table; sensitivities.csv has all of them
 CAVEAT = (
-    "These derivatives are those of the value of the best policy. Held: from the exact simulator "
-    "with the "
-    "decisions held fixed; this is correct if decisions are optimal, depend on the full state and "
-    "cause no jump. Through the policy: from a bump of the exact simulator by one percent, or by "
-    "the step of the input, with the policy reacting; it is reported if it contradicts the "
-    "derivative with decisions held fixed (at a level of 1 % for all inputs together). Range: at "
-    "a kink, between the "
+    "These derivatives are those of the value of the best policy. Held: the derivative of the "
+    "exact simulator with the decisions held fixed; this is correct if decisions are optimal, "
+    "depend on the full state and cause no jump. Through the policy: the difference quotient of "
+    "the exact simulator for a bump of one percent, or of the step of the input, to which the "
+    "policy reacts; it is reported if it contradicts the derivative with decisions held fixed (at "
+    "a level of 1 % for all inputs together). Range: at a kink, the interval between the "
     "derivatives for a decrease and for an increase of the input. The 95 % interval adds the "
-    "sampling error of finitely many paths (± sampling) and the error of the policy, which is near "
-    "the best one (± policy). Late change: the change of the derivative with decisions held "
+    "sampling error of finitely many paths (± sampling) and the error of a policy that is only "
+    "near the best one (± policy). Late change: the change of the derivative with decisions held "
     "fixed in the second half of training."
 )
 
 
 class ReportedInterval:
-    """The interval of a record with `low` and `high`, None if it is unknown."""
+    """The interval of a record with `low` and `high`; both are None if it is unknown."""
 
     low: float | None
     high: float | None
 
     @property
     def half_width(self) -> float:
-        """Half the width of the interval; 0 if it has none."""
+        """Half the width of the interval; 0 if there is no interval."""
         return 0.0 if self.low is None or self.high is None else (self.high - self.low) / 2
 
 
@@ -66,15 +66,15 @@ class InputMove(ReportedInterval):
     """The effect on the value when all numbers of an input move together; None if unknown.
 
     - `words`, `group`: meaning and group of the input; `numbers`: its number of entries.
-    - `amount`, `unit`: by how much every number moves, in the display unit; `amount` is None if
-      each moves by `share` of itself.
+    - `amount`, `unit`: the move of every number, in the display unit; `amount` is None if every
+      number moves by its share `share`.
     - `effect`, `low`, `high`: the effect to first order, with the reported derivative and its 95 %
       interval, `sampling` and `policy`: the parts of the half-width due to the finite number of
       paths and to the policy's error; `source`: see `solver.derivatives.interval.Reported`.
     - `held`, `held_error`: the effect with the decisions held fixed, and its error; `smooth`,
       `smooth_error`: the effect through the policy's reaction; `bump`, `bump_error`: the change of
       the exact value at a bump, scaled to the size of this move, if it is along the same direction;
-      `more`, `less`: the effects of the move and of its opposite separately, if they differ.
+      `more`, `less`: the effects of the move and of the opposite move, if they differ.
     """
 
     input: str
@@ -101,7 +101,7 @@ class InputMove(ReportedInterval):
 
     @property
     def size(self) -> str:
-        """By how much the input moves, as text."""
+        """The size of the move, as text."""
         if self.amount is None:
             return f"+{percent(0.01 if self.share is None else self.share, 0)}"
         if self.unit.startswith("1/"):
@@ -113,13 +113,13 @@ class InputMove(ReportedInterval):
 
 @dataclass(frozen=True)
 class InputMoves:
-    """The moves of all inputs, the largest effects first."""
+    """The moves of all inputs, with the largest effects first."""
 
     moves: tuple[InputMove, ...]
 
 
 def measure(run: StudyRun) -> InputMoves:
-    """The moves of the inputs of the solution's sensitivities."""
+    """The moves of the inputs that have sensitivities in the solution."""
     table = run.solution.sensitivities
     if table is None:
         return InputMoves(())
@@ -135,7 +135,7 @@ def direction(entry: Input) -> np.ndarray:
 
 
 def interval(table: Sensitivities, name: str, along: np.ndarray) -> dict[str, float | None]:
-    """The reported derivative along a direction as numbers of a table; None if unknown."""
+    """The reported derivative along a direction, as numbers for a table; None if it is unknown."""
     names = ("effect", "low", "high", "sampling", "policy")
     numbers = table.along(name, along)
     return {key: float(x) if np.isfinite(x) else None for key, x in zip(names, numbers)}
@@ -172,7 +172,7 @@ def _move(name: str, entry: Input, table: Sensitivities) -> InputMove:
 def _bump(
     entry: Input, verdicts: Mapping[str, Verdict] | None, name: str, along: np.ndarray
 ) -> Verdict | None:
-    """The bump scaled to this move, if it has the same or the opposite direction."""
+    """The effect of the bump, scaled to this move, if it has the same or the opposite direction."""
     verdict = (verdicts or {}).get(name)
     if verdict is None:
         return None
@@ -193,7 +193,7 @@ def _along(
 
 
 def sensitivities(run: RunFiles) -> Section:
-    """The tornado with its table, and the derivative with respect to every number."""
+    """The tornado chart with its table, and the derivative with respect to every number."""
     title = "Sensitivities"
     if not run.sensitivities:
         return Section("sensitivities", title, title, [why_missing(run, "training")])
@@ -205,7 +205,7 @@ def sensitivities(run: RunFiles) -> Section:
 
 
 def show(run: RunFiles, result: InputMoves) -> Sequence[Block]:
-    """The tornado and the table of moves; nothing if no effect is known."""
+    """Shows the tornado chart and the table of moves; nothing if no effect is known."""
     moves = [move for move in result.moves if move.effect is not None]
     return [_tornado(run, moves), _moves(run, moves)] if moves else []
 
@@ -226,7 +226,7 @@ def _tornado(run: RunFiles, moves: Sequence[InputMove]) -> Chart:
     height = 32 + 26 * len(swings)
     svg = draw("tornado", alt, lambda axes: tornado(axes, swings, ""), height)
     caption = (
-        "Change of the value when all numbers of an input rise by the amount at the left, "
+        "Change of the value if all numbers of an input increase by the amount at the left, "
         "computed with the reported derivative; whiskers are 95 % intervals."
     )
     return Chart(svg, caption)
@@ -253,7 +253,8 @@ def _moves(run: RunFiles, moves: Sequence[InputMove]) -> Table:
 
 
 def _at_bump(move: InputMove, digits: int) -> tuple[str, str]:
-    """The change at a bump, and its error; of more and of less apart, where they differ."""
+    """The change at a bump, and its error; the changes at an increase and a decrease separately, if
+    they differ."""
     if move.more is None or move.less is None:
         return measured(move.bump, move.bump_error, digits)
     text = f"{number(move.more, digits)} more, {number(move.less, digits)} less"
@@ -266,9 +267,9 @@ def _derivatives(run: RunFiles) -> Table:
             ("Unit", ""), ("Source", ""), ("Decisions held fixed", ""), ("", ""),
             ("Through the smooth rules", ""), ("", ""), ("Late change", ""), ("", "")]  # fmt: skip
     count = len(run.sensitivities)
-    caption = "Derivative of the value with respect to every number, per one unit of it"
+    caption = "Derivative of the value with respect to every number, per unit of this number"
     if count > ROWS:
-        caption += f"; the first {ROWS} of {count}, all are in sensitivities.csv"
+        caption += f"; the first {ROWS} of {count}, all of which are in sensitivities.csv"
     texts = frozenset({0, 1, 5, 6})
     return Table(head, rows, caption, texts, folded=f"All {count} derivatives")
 

@@ -1,8 +1,7 @@
-"""The positions of a case's inputs in its files, as recorded by their readers, to write others.
-
-A case that is written is read again, and must contain exactly these numbers (or the nearest ones,
-if it converts a number and no float gives exactly this one). So the case that a page writes is the
-one that it valued, in every domain.
+"""The positions of a case's inputs in its files, which readers record so that new numbers can be
+written. A case that is written is read again and must contain exactly these numbers. (If it
+converts a number and no float gives exactly the new one, the nearest number is used.) Thus the case
+that a page writes is the case that it valued, in every domain.
 """
 
 import tempfile
@@ -28,7 +27,8 @@ def numbers_of(case: Any) -> dict[str, np.ndarray]:
 
 
 def inputs_in(record: Any, name: str, visited: set[int]) -> Iterator[tuple[str, CaseInput | Input]]:
-    """(name, numbers) of all inputs in a record, in its records, tuples, lists and mappings."""
+    """(name, numbers) of all inputs in a record, including the records, tuples, lists and mappings
+    in it."""
     if isinstance(record, CaseInput | Input):
         if _values(record).size:
             yield getattr(record, "name", name), record
@@ -57,7 +57,7 @@ ReadInputs = Callable[[Any], Mapping[str, Input]]
 
 
 class ChangedCase(NamedTuple):
-    """A case with other numbers: its files, and its records as its domain reads them."""
+    """A case with new numbers: its files, and its records as its domain reads them."""
 
     files: Files
     case: Any
@@ -68,7 +68,7 @@ class InputPositions:
 
     - `of`: returns the inputs of a case by name, if the domain defines such a function; otherwise
       they are collected from the records.
-    - `case`: the records, if they were read already.
+    - `case`: the records, if they have already been read.
     """
 
     def __init__(
@@ -85,8 +85,8 @@ class InputPositions:
 
     @property
     def movable(self) -> dict[str, Input]:
-        """The inputs as a user moves them: an input that is made from other numbers is replaced by
-        these."""
+        """The inputs that a user moves; an input that is made from other numbers is replaced by
+        these numbers."""
         return movable(self.inputs, self.case)
 
     @cached_property
@@ -114,10 +114,10 @@ class InputPositions:
         }
 
     def case_at(self, values: Mapping[str, np.ndarray], files: Files | None = None) -> ChangedCase:
-        """The case in which inputs have these values, {name: value}; `files`: another case into
-        which they are written.
+        """The case in which inputs have these values, {name: value}; `files`: the case into which
+        the numbers are written, by default the case itself.
 
-        **Raises:** `CaseError` if the case's own reader refuses them, or an input has no place
+        **Raises:** `CaseError` if the reader of the case refuses them, or an input has no position
         in its files.
         """
         files = self.files if files is None else files
@@ -150,7 +150,7 @@ class InputPositions:
 
 
 def sources_of(case: Any) -> dict[str, SourceNumbers]:
-    """{name: numbers} of a case from which inputs are made."""
+    """{name: numbers} for the numbers of a case from which inputs are made."""
     return {source.numbers.name: source for source in getattr(case, "sources", ())}
 
 

@@ -1,4 +1,4 @@
-"""A case in files: its tables and the text of every file next to it, in memory."""
+"""The files of a case in memory: its tables and the text of every file next to it."""
 
 import csv
 import datetime
@@ -32,9 +32,9 @@ PlainPosition = SheetCell | QuantityKey | KeyedUnit | Key
 
 
 class Sheet(NamedTuple):
-    """A CSV: its header and its rows, as texts; comments are left out.
+    """A CSV: its header and its rows as texts, without comments.
 
-    `lines`: the line of each row in the file that was read, from 1.
+    `lines`: the line numbers of the rows in the file that was read, from 1.
     """
 
     header: list[str]
@@ -60,7 +60,7 @@ class Files:
     changed: frozenset[str] = frozenset()
 
     def with_value(self, key: Key, value: Any) -> "Files":
-        """The case with another value at one place of its tables."""
+        """The case with a new value at one position in its tables."""
         return replace(self, tables=_put(self.tables, key, value))
 
     def without(self, names: Sequence[str]) -> "Files":
@@ -68,11 +68,12 @@ class Files:
         return replace(self, tables={k: v for k, v in self.tables.items() if k not in names})
 
     def with_sheet(self, name: str, sheet: Sheet) -> "Files":
-        """The case with another CSV of this name."""
+        """The case with a new CSV of this name."""
         return replace(self, sheets={**self.sheets, name: sheet}, changed=self.changed | {name})
 
     def write(self, folder: Path) -> Path:
-        """The case in a separate folder: case.toml and its files; returns the file."""
+        """Writes the case to a separate folder, as case.toml and its other files; returns
+        case.toml."""
         folder.mkdir(parents=True, exist_ok=True)
         named = tables_named(self.folder, self.tables)
         for case_file in case_files(self.folder, pictures=True):
@@ -89,8 +90,8 @@ class Files:
 
 
 def read_files(folder: Path, tables: Mapping[str, Any]) -> Files:
-    """The case whose tables were read from `folder`, with the CSVs that they name, and those named
-    in cells of these CSVs."""
+    """The case whose tables were read from `folder`, with the CSVs that these name, and the CSVs
+    whose names are in cells of these CSVs."""
     available = {file.name for file in case_files(folder) if file.suffix.lower() == ".csv"}
     requested = {value for _, value in _leaves(tables, ()) if isinstance(value, str)} & available
     sheets: dict[str, Sheet] = {}
@@ -113,10 +114,8 @@ def _sheet(folder: Path, name: str) -> Sheet:
 
 
 def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
-    """The files of a case with other numbers in the positions of an input.
-
-    Days that share the line of their month keep sharing it as long as their numbers are equal;
-    otherwise each day gets a line.
+    """The files of a case with new numbers in the positions of an input. Days that share the line
+    of their month continue to share it if their numbers are equal; otherwise every day gets a line.
 
     **Raises:** `CaseError` for a number that no file has, or whose file is not a CSV.
     """
@@ -157,7 +156,7 @@ def _plain(position: FilePosition, number: float) -> Iterator[tuple[PlainPositio
 
 
 def readable(entry: CaseInput, numbers: np.ndarray) -> np.ndarray:
-    """The numbers that are read after `with_numbers` has written these. If a case converts a
+    """The numbers that are read after `with_numbers` has written `numbers`. If a case converts a
     number, the result is the nearest one that a float in its files can represent."""
     pairs = zip(entry.positions, numbers.ravel().tolist())
     return np.array(
@@ -166,7 +165,7 @@ def readable(entry: CaseInput, numbers: np.ndarray) -> np.ndarray:
 
 
 def _with_cell(files: Files, cell: SheetCell, numbers: Mapping[str, float]) -> Sheet:
-    """A sheet with another number in a cell, or a row for each label where they differ."""
+    """A sheet with a new number in a cell, or with a row for each label if their numbers differ."""
     sheet = files.sheets.get(cell.file)
     if sheet is None or cell.line not in sheet.lines:
         message = "only numbers in a CSV next to the case can be changed"

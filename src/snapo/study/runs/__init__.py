@@ -1,1 +1,1 @@
-"""The runs of a case: each has its own folder in `runs`, and `run` points to the latest."""
+"""The runs of a case: each has a folder in `runs`, and the link `run` points to the latest run."""

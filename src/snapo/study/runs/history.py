@@ -1,4 +1,4 @@
-"""The runs of a case as a list, with what differs from one to the next; and their removal."""
+"""Lists the runs of a case, with the differences from one run to the next, and removes runs."""
 
 import secrets
 import shutil
@@ -17,16 +17,17 @@ from ..run_folder import Difference, differences
 from .store import adopt, case_folder, folders, is_busy, is_good, only_one, set_link
 
 SHOWN = 3  # differences of a run that a person sees; all of them are in the table
-RUNNING, STOPPED = "running", "stopped; snapo solve --resume continues it"
+RUNNING, STOPPED = "running", "stopped; snapo solve --resume continues the run"
 
 
 class RunRow(NamedTuple):
     """One run of a case.
 
-    - `run`: its name; `folder`; `latest`: whether `run` points to it; `began`: the date and time.
+    - `run`: its name; `folder`: its folder; `latest`: whether the link `run` points to it; `began`:
+      date and time.
     - `value`, `low`, `high`: the value and its 95 % interval, None if there is none.
-    - `status`: the status of result.json; or "running", or the reason why there is none.
-    - `changes`: the settings that differ from the run before.
+    - `status`: the status in result.json, or "running", or the reason why there is no status.
+    - `changes`: the settings that differ from the previous run.
     """
 
     run: str
@@ -42,12 +43,12 @@ class RunRow(NamedTuple):
     changes: tuple[Difference, ...]
 
     def table(self) -> dict[str, Any]:
-        """As plain data."""
+        """The row as plain data."""
         return self._asdict() | {"changes": [change._asdict() for change in self.changes]}
 
 
 def listed(path: Path) -> list[RunRow]:
-    """The runs of the case that `path` names, the oldest first.
+    """The runs of the case that `path` names, with the oldest first.
 
     **Raises:** `CaseError` if there is no such folder.
     """
@@ -65,7 +66,7 @@ def listed(path: Path) -> list[RunRow]:
 def _home(path: Path) -> Path:
     home = case_folder(path)
     if not home.is_dir():
-        raise CaseError(str(path), "", None, "there is no such case: name its folder or its file")
+        raise CaseError(str(path), "", None, "there is no such case; name its folder or its file")
     return home
 
 
@@ -107,9 +108,9 @@ def _interval(result: RunResult) -> tuple[float | None, float | None]:
 
 
 def described(rows: Sequence[RunRow]) -> Iterator[str]:
-    """The list for a reader, one line or a few for each run."""
+    """The list as text, with one or more lines for each run."""
     if not rows:
-        yield "no runs yet; `snapo solve` makes one"
+        yield "no runs yet; `snapo solve` computes one"
         return
     yield f"{'run':<24}{'value':>16}{'± (95 %)':>12}{'seconds':>10}  status"
     for row in rows:
@@ -137,12 +138,13 @@ def _changes(changes: Sequence[Difference]) -> Iterator[str]:
 
 
 def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> list[str]:
-    """Removes the runs with these names, or all but the last `keep`; returns their names.
+    """Removes the runs with these names, or all but the last `keep` runs; returns their names. The
+    last four letters of a name are sufficient. With `keep`, runs in progress and the run to which
+    the link `run` points are never removed. If the latest run is removed, `run` points to the
+    previous run.
 
-    The last four letters of a name are sufficient. Runs in progress, and the run to which `run`
-    points, are kept in any case. If the latest is removed, `run` points to the one before it.
-
-    **Raises:** `CaseError` if there is no such run, or it is running; then nothing is removed.
+    **Raises:** `CaseError` if there is no such run, or if it is in progress; then nothing is
+    removed.
     """
     home = _home(path)
     adopt(home)
@@ -155,7 +157,7 @@ def removed(path: Path, names: Sequence[str] = (), keep: int | None = None) -> l
             selected += [item for item in older if item != latest and not is_busy(item)]
         selected = list(dict.fromkeys(selected))
         if busy := next((folder for folder in selected if is_busy(folder)), None):
-            message = "a process works on this run; stop it first"
+            message = "a process is working on this run; stop it first"
             raise CaseError(str(busy), "", None, message)
         _point_elsewhere(home, [item for item in available.values() if item not in selected])
         for folder in selected:
@@ -170,14 +172,15 @@ def _named(name: str, available: Mapping[str, Path]) -> Path:
         message = nearest(text, available, "run") if available else "this case has no runs"
         if matches:
             message = (
-                f"the names of several runs end with it: {', '.join(item.name for item in matches)}"
+                f"the names of several runs end with this text: "
+                f"{', '.join(item.name for item in matches)}"
             )
         raise CaseError("--remove", "", Unquoted(name), message)
     return matches[0]
 
 
 def _point_elsewhere(home: Path, left: Sequence[Path]) -> None:
-    """Makes `run` point to one of the runs that are left; to none if there is none."""
+    """Makes `run` point to one of the remaining runs; removes it if there are none."""
     if target(home / LATEST) in left:
         return
     best = [folder for folder in left if is_good(folder)] or left
@@ -188,7 +191,7 @@ def _point_elsewhere(home: Path, left: Sequence[Path]) -> None:
 
 
 def _remove(folder: Path) -> None:
-    """A run that is removed half is not one of the list any more."""
+    """Removes a run in such a way that a partly removed run is no longer in the list."""
     moved = folder.with_name(f".removed-{secrets.token_hex(4)}")
     folder.rename(moved)
     shutil.rmtree(moved)

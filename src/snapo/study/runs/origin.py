@@ -1,4 +1,4 @@
-"""The origin of a run, for its report: case, date, machine, and the run before it."""
+"""The origin of a run, for its report: case, date, machine, and the previous run."""
 
 import datetime
 import os
@@ -21,7 +21,7 @@ from .store import is_good
 def origin(
     file: Path, assignments: tuple[str, ...], out: Path, decides: Mapping[str, Any]
 ) -> dict[str, Any]:
-    """The origin of a run in the folder `out` that begins now, of the case in `file`."""
+    """The origin of a run that begins now, in the folder `out`, of the case in `file`."""
     now = datetime.datetime.now().astimezone()
     return {
         "run": out.name,
@@ -36,7 +36,8 @@ def origin(
 
 
 def _previous(home: Path, out: Path, decides: Mapping[str, Any]) -> dict[str, Any] | None:
-    """The run to which `run` points, and the settings that differ from it; None without one."""
+    """The run to which `run` points, and the settings that differ from it; None if there is no such
+    run."""
     folder = target(home / LATEST)
     if folder is None or folder == out or not is_good(folder):
         return None
@@ -60,7 +61,7 @@ def _previous(home: Path, out: Path, decides: Mapping[str, Any]) -> dict[str, An
 
 
 def add_difference(record: Mapping[str, Any], out: Path) -> None:
-    """Adds the difference between the values of a run and of the one before it to its record."""
+    """Adds the difference between the values of a run and the previous run to its record."""
     from ..compare import difference
 
     previous = entries_of(RunRecord, record).origin.previous

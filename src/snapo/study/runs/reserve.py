@@ -1,4 +1,4 @@
-"""The folder into which a case is solved: a new one, or that of the run to resume."""
+"""The folder into which a case is solved: a new folder, or the folder of the run to resume."""
 
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
@@ -23,8 +23,8 @@ def reserved(home: Path, out: Path | None, same: Callable[[Path], bool] | None) 
 
     A folder into which nothing was written is removed again.
 
-    **Raises:** `CaseError` if the folder cannot be written, is that of the case, or has a run
-    that no other one may replace.
+    **Raises:** `CaseError` if the folder cannot be written, is the folder of the case, or has a run
+    that must not be replaced.
     """
     _check_links(home, out)
     if out is not None and not (out.name == LATEST and out.parent.resolve() == home.resolve()):
@@ -47,7 +47,7 @@ def _check_links(home: Path, out: Path | None) -> None:
     try:
         same = out is not None and out.resolve() == home.resolve()
     except (OSError, RuntimeError):  # links in a circle
-        message = "this cannot be the name of a folder: its links form a circle"
+        message = "this cannot be the name of a folder, because its links form a circle"
         raise CaseError(str(out), "", None, message) from None
     if same:
         message = "this is the folder of the case; a run needs a separate folder"
@@ -58,7 +58,7 @@ def _explicit(home: Path, out: Path, resume: bool) -> Path:
     run_folder.check_writable(out)
     if not resume and home_of(out.resolve()) is not None and (out / run_folder.RUN).exists():
         message = (
-            "this folder contains a stored run, which is not replaced: leave out --out, or name "
+            "this folder contains a stored run, which is not replaced; omit --out, or name "
             "another folder"
         )
         raise CaseError("--out", "", Unquoted(str(out)), message)
@@ -68,7 +68,7 @@ def _explicit(home: Path, out: Path, resume: bool) -> Path:
 def _to_resume(home: Path, same: Callable[[Path], bool]) -> Path | None:
     """The latest run that the command describes; None if there is no run at all.
 
-    **Raises:** `CaseError` if all runs are of another description, or it is being worked on.
+    **Raises:** `CaseError` if no run fits the description, or a process is working on it.
     """
     errors: list[CaseError] = []
     for folder in reversed(folders(home)):

@@ -1,11 +1,11 @@
-"""The folders of the runs of a case, and `run`, which points to the latest of them.
+"""The folders of the runs of a case, and the link `run`, which points to the latest run.
 
-mine/runs/2026-11-25T1530-7f3a     one run: when it began, by the clock on the wall, and four digits
-mine/run                           a symbolic link to the latest one (a text file without links)
+mine/runs/2026-11-25T1530-7f3a     one run: the local time at which it began, and four digits
+mine/run                           a symbolic link to the latest run (a text file without links)
 
-The latest is the last run that finished with valid numbers or, if there is none, the last that
-began. A run that writes holds a lock of the operating system on a file, which is released if the
-process is killed.
+The latest run is the last that finished with valid numbers or, if there is none, the last that
+began. A run that is writing holds a lock of the operating system on a file. The lock is released if
+the process is killed.
 """
 
 import datetime
@@ -31,9 +31,10 @@ BUSY = (errno.EACCES, errno.EAGAIN, errno.EDEADLK)
 
 @contextmanager
 def locked(file: Path, seconds: float = 0.2) -> Iterator[None]:
-    """Holds a lock while the block runs, by a `file` that is created for it and removed after it.
+    """Holds a lock on a `file` while the block runs; the file is created before the block and
+    removed after it.
 
-    **Raises:** `BlockingIOError` if another process holds it for longer than these seconds.
+    **Raises:** `BlockingIOError` if another process holds the lock for longer than `seconds`.
     """
     stream = _taken(file, seconds)
     try:
@@ -68,7 +69,8 @@ def _taken(file: Path, seconds: float) -> IO[bytes]:
 
 
 def _is_current(stream: IO[bytes], file: Path) -> bool:
-    """Whether the file is still there, and not removed by the process that held it before."""
+    """Whether the file still exists and was not removed by the process that held the lock
+    before."""
     try:
         return os.path.samestat(os.fstat(stream.fileno()), file.stat())
     except OSError:
@@ -76,7 +78,7 @@ def _is_current(stream: IO[bytes], file: Path) -> bool:
 
 
 def _lock(stream: IO[bytes], shared: bool = False) -> bool:
-    """Whether the lock was taken; a file system without locks gives it to everyone."""
+    """Whether the lock was taken; on a file system without locks it is always taken."""
     try:
         if os.name == "nt":
             import msvcrt
@@ -98,7 +100,8 @@ PATIENCE = 30.0  # seconds to wait for another process that sets `run`, which ta
 
 
 def new_folder(home: Path) -> Path:
-    """Makes an empty folder for a run of the case in `home`; no other process gets the same."""
+    """Makes an empty folder for a run of the case in `home`; no other process gets the same
+    folder."""
     while True:
         name = f"{datetime.datetime.now():%Y-%m-%dT%H%M}-{secrets.token_hex(2)}"
         try:
@@ -116,7 +119,8 @@ def home_of(folder: Path) -> Path | None:
 
 
 def folders(home: Path) -> list[Path]:
-    """The runs of the case in `home`, the oldest first; a run that has written nothing is left out.
+    """The runs of the case in `home`, with the oldest first; a run that has written nothing is
+    omitted.
 
     A run of an earlier version of snapo, in a plain folder `run`, is the oldest.
     """
@@ -129,7 +133,7 @@ def folders(home: Path) -> list[Path]:
 
 
 def _began(folder: Path) -> str:
-    """When a run began, as text that sorts; empty if nothing was written."""
+    """The time at which a run began, as text that can be sorted; "" if nothing was written."""
     record = entries_of(RunRecord, run_folder.read_table(folder / run_folder.RUN))
     exact = record.origin.began_utc
     if isinstance(exact, str):
@@ -156,7 +160,8 @@ def is_good(folder: Path) -> bool:
 
 
 def point_to(folder: Path) -> bool:
-    """Makes `run` point to a run in `runs`, unless a better one is there; True if it does."""
+    """Makes `run` point to a run in `runs`, unless it points to a better run; returns whether it
+    points to this run."""
     home = home_of(folder)
     if home is None:
         return False
@@ -169,7 +174,7 @@ def point_to(folder: Path) -> bool:
 
 
 def set_link(home: Path, folder: Path) -> None:
-    """Replaces `run` at once, so that at no moment it is missing or points elsewhere."""
+    """Replaces `run` in one step, so that it is never missing and never points elsewhere."""
     made = home / f".{LATEST}-{secrets.token_hex(4)}"
     text = f"{RUNS}/{folder.name}"
     try:
@@ -187,17 +192,15 @@ def set_link(home: Path, folder: Path) -> None:
 
 @contextmanager
 def only_one(home: Path) -> Iterator[None]:
-    """One process at a time sets `run` or removes runs."""
+    """Only one process at a time may set `run` or remove runs."""
     (home / RUNS).mkdir(exist_ok=True)
     with locked(home / RUNS / LOCK, PATIENCE):
         yield
 
 
 def adopt(home: Path) -> None:
-    """Moves a run of an earlier version, in a plain folder `run`, to the other runs, and lets
-    `run` point to it.
-
-    **Raises:** `CaseError` if `run` is something else, which must stay as it is.
+    """Moves a run of an earlier version from a plain folder `run` to the other runs, and makes
+    `run` point to it. **Raises:** `CaseError` if `run` is something else, which is not changed.
     """
     plain = home / LATEST
     if target(plain) is not None or not os.path.lexists(plain):
@@ -218,8 +221,8 @@ def adopt(home: Path) -> None:
     with suppress(OSError):
         (home / RUNS).rmdir()
     message = (
-        "this is not a run, and its name is that of the latest run: rename it, or name a folder "
-        "with --out"
+        "this is not a run, but it has the name of the link to the latest run; rename it, or name "
+        "a folder with --out"
     )
     raise CaseError(str(plain), "", None, message)
 
@@ -247,21 +250,20 @@ def case_folder(path: Path) -> Path:
 
 
 def shown(folder: Path) -> Path:
-    """The shortest name of a run folder: `run` where it points there."""
+    """The shortest name of a run folder: `run` if this link points to it."""
     home = home_of(folder)
     return home / LATEST if home and target(home / LATEST) == folder else folder
 
 
 def is_busy(folder: Path) -> bool:
-    """Whether a process writes into a run folder."""
+    """Whether a process is writing into a run folder."""
     return is_locked(folder / LOCK)
 
 
 @contextmanager
 def working_in(folder: Path) -> Iterator[None]:
-    """Only this process writes into a run folder.
-
-    **Raises:** `CaseError` if another process does.
+    """Only this process may write into a run folder within this context. **Raises:** `CaseError` if
+    another process is writing into it.
     """
     missing = [item for item in (folder, *folder.parents) if not item.exists()]
     try:
@@ -269,7 +271,10 @@ def working_in(folder: Path) -> Iterator[None]:
         with locked(folder / LOCK):
             yield
     except BlockingIOError:
-        message = "another process works on this run: wait for it, or solve into another folder"
+        message = (
+            "another process is working on this run; wait until it has finished, or solve "
+            "into another folder"
+        )
         raise CaseError(str(folder), "", None, message) from None
     finally:
         for item in missing:  # where nothing was written

@@ -102,7 +102,7 @@ MISTAKES = {
     ),
     "windows without a mean": (
         "case.toml", "steps = 300\n", "steps = 300\nwindow = 12\n",
-        ["training.window", "12", 'kind "mean", but this one is "crra"'],
+        ["training.window", "12", 'kind "mean", but the kind is "crra"'],
     ),
     "unknown input held": ("case.toml", '"asset_cost"', '"asset_csot"', ["held", "asset_cost"]),
     "both members and cash flows": (

@@ -1,4 +1,4 @@
-"""The trained policy compared with classical rules, the closed form and Gymnasium."""
+"""Compares the trained policy with classical rules, the optimum in closed form, and Gymnasium."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -46,14 +46,15 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Baselines:
-    """The rules, the best first; `optimum`: the closed form, None if there is none."""
+    """The rules, with the best first; `optimum`: the optimum in closed form, None if there is
+    none."""
 
     rivals: tuple[Baseline, ...]
     optimum: float | None = None
 
 
 def measure(run: StudyRun) -> Baselines:
-    """All classical rules of the plant on the paths of the trained policy."""
+    """Values all classical rules of the plant on the paths of the trained policy."""
     problem, plant = run.setup.problem, plant_of(run)
     source, objective = problem.sources.evaluation, problem.objective
     trained = value_of_groups(objective, run.solution.totals, source)
@@ -96,19 +97,24 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     )
     blocks: list[Block] = [
         ladder("rivals-ladder", bars, "Mean reward of an episode; higher is better.", digits),
-        table(rules, columns, "Classical rules on the paths of the policy", decimal_places=digits),
+        table(
+            rules,
+            columns,
+            "Classical rules, valued on the same paths as the policy",
+            decimal_places=digits,
+        ),
     ]
     if (best := result.optimum) is not None:
         share = 100 * (best - value) / abs(best) if best else 0.0
         blocks.append(Text(f"The policy costs {share:.2f} % more than the optimum in closed form."))
     if (real := GYMNASIUM.of(run)) is not None:
         mean, error = number(real.mean, 2), plus_minus(real.standard_error, 2)
-        reward = f"In Gymnasium's own {real.name} it earns {mean} {error}"
+        reward = f"In Gymnasium's {real.name} the policy earns {mean} {error}"
         starts = f"over {number(real.starts, 0)} initial states (reset with the seeds 0, 1, …)."
         blocks.append(Text(f"{reward} {starts}"))
     regulator = (
-        "The linear regulator solves the Riccati equation of the plant around its target; its "
-        "decisions are clipped to the limits."
+        "The linear regulator is the solution of the Riccati equation for the plant, linearised "
+        "at its target; its decisions are clipped to the limits."
     )
     return [*blocks, Text(regulator)]
 
@@ -153,7 +159,7 @@ def play_twin(run: StudyRun) -> TwinReward:
 
 
 def _check_same(plant: Plant, values: Any) -> None:
-    """Refuses a case whose numbers are not those of the environment."""
+    """Refuses a case whose numbers differ from the numbers of the environment."""
     usual = plain(make_inputs(type(plant)))
     for group in ("plant", "cost"):
         for name, value in values[group].items():

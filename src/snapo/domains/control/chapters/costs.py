@@ -1,4 +1,4 @@
-"""The reward of an episode by part: the cost of each state and of each action."""
+"""The parts of an episode's reward: the cost of each state and of each action."""
 
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
@@ -12,7 +12,7 @@ ENDING = "_cost"  # of the names of outputs that are costs
 
 
 def costs(run: RunFiles) -> Section:
-    """A ladder of the parts, and a table with their intervals."""
+    """A chart of the parts, and a table with their intervals."""
     title, short = "Cost by part", "Costs"
     result = DISTRIBUTION.of(run)
     totals = [x for x in result.distribution if _is_cost(x)] if result else []
@@ -22,13 +22,13 @@ def costs(run: RunFiles) -> Section:
     digits = decimals([total.mean for total in totals], 4)
     complete = sum(total.mean for total in totals)
     bars = [Bar(_name(x.name), x.mean, x.standard_error) for x in totals]
-    caption = "Mean cost of an episode by part, under the trained policy."
+    caption = "Mean cost of an episode under the trained policy, by part."
     rows = [
         (bar.name, *measured(bar.value, bar.error, digits),
          percent(bar.value / complete) if complete else "")
         for bar in bars
     ]  # fmt: skip
-    head = [("Part", ""), ("Mean of an episode", ""), ("", ""), ("Share", "")]
+    head = [("Part", ""), ("Mean per episode", ""), ("", ""), ("Share", "")]
     blocks = [ladder("costs-ladder", bars, caption, digits), Table(head, rows, title)]
     return Section("costs", title, short, blocks)
 
@@ -48,6 +48,6 @@ def reward_and_costs(measured: PathTotals) -> list[LiveTable]:
         (f"cost of {_name(name).lower()}", *measured.mean(measured.totals[name])) for name in names
     ]
     rows.sort(key=lambda row: -row[1])
-    columns = (("", ""), ("mean of an episode", ""), ("±", ""))
+    columns = (("", ""), ("mean per episode", ""), ("±", ""))
     reward = ("reward", *measured.mean(measured.totals["reward"]))
     return [LiveTable("Reward and costs by part", columns, [reward, *rows])]

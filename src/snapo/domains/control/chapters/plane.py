@@ -1,4 +1,4 @@
-"""The plane of two states: the policy's decision at every point, and some paths through it."""
+"""The plane of two states: the policy's decision at every point, and some paths in the plane."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -36,9 +36,9 @@ EMPTY = np.zeros(0)
 class Plane:
     """The plane of two states; all fields are empty for a plant with one number.
 
-    - `states`, `units`, `turn`: names, units, and whether it is an angle, for the state drawn
-      across and the state drawn up.
-    - `across`, `up` [CELLS]: the points of the map.
+    - `states`, `units`, `turn`: the names of the states on the horizontal and the vertical axis,
+      their units, and whether they are angles.
+    - `across`, `up` [CELLS]: the points of the map on the two axes.
     - `action` [CELLS, CELLS]: the decision of the first step at (up, across), if the plant has no
       other states, otherwise empty.
     - `paths` [P][2][T + 1]: the two states of some paths.
@@ -53,7 +53,7 @@ class Plane:
     paths: tuple[Floats, ...] = ()
 
     def label(self, axis: int) -> str:
-        """The state of an axis with its unit."""
+        """The label of an axis: its state and unit."""
         return with_unit(readable(self.states[axis]), self.units[axis])
 
 
@@ -87,12 +87,13 @@ def measure(run: StudyRun) -> Plane:
 
 
 def _pair(plant: Plant, states: list[str]) -> list[str]:
-    """The two states of the picture: an angle with its speed if there is one."""
+    """The two states of the picture; if the plant has an angle, the angle and its speed."""
     return list(plant.portrait) if plant.portrait else states[:2]
 
 
 def _axis(values: np.ndarray, turn: bool) -> np.ndarray:
-    """Points of an axis: a full turn of an angle, or all but the outermost states."""
+    """The points of an axis: a full turn of an angle, or the range of all but the outermost
+    states."""
     low, high = (-np.pi, np.pi) if turn else np.quantile(values, [0.002, 0.998])
     room = 0.0 if turn else 0.05 * max(high - low, 1e-9)
     return np.linspace(low - room, high + room, CELLS)
@@ -114,13 +115,13 @@ def _decisions(problem: Problem, policy: Policy, names, across, up) -> np.ndarra
 
 
 def show(run: RunFiles, plane: Plane) -> Sequence[Block]:
-    """A phase portrait, on the map of the policy if the plant has no other states."""
+    """A phase portrait, drawn on the map of the policy if the plant has no other states."""
     if not plane.states:
-        return [Text("The plant has only one state.")]
+        return [Text("There is no phase portrait, as the plant has only one state.")]
     count = len(plane.paths)
-    alt = f"{plane.label(0)} and {plane.label(1)}: {count} paths from initial states, as dots."
+    alt = f"{plane.label(0)} and {plane.label(1)}: {count} paths; dots are the initial states."
     svg = draw("plane", alt, lambda axes: _paint(axes, plane), 330)
-    caption = f"{count} paths; a dot is an initial state, a ring a terminal one."
+    caption = f"{count} paths; a dot is an initial state, a ring a terminal state."
     if plane.action.size:
         caption += (
             " The background is the decision of the first step: blue is the lowest, orange "

@@ -25,7 +25,7 @@ MEMBERS = ("type", "description", "parameters", "weights", "states", "actions", 
 def catalogue(plants: tuple[type[Plant], ...]) -> dict[str, type[Plant]]:
     """{type: class}.
 
-    **Raises:** `TypeError` if a class is not complete, or two have the same type.
+    **Raises:** `TypeError` if a class is not complete, or two classes have the same type.
     """
     table: dict[str, type[Plant]] = {}
     for plant in plants:

@@ -11,7 +11,8 @@ class DoubleIntegrator(DoubleIntegratorKind, Plant):
     """position' = position + speed dt, speed' = speed + force dt / mass.
 
     The cost of a step is position^2 + speed^2 + force^2, each with its weight; the terminal state
-    costs `final` times its own. If the bound on the force has no effect, the best rule is linear.
+    costs `final` times the cost of such a state in a step. If the bound on the force has no effect,
+    the best rule is linear.
     """
 
     def drive(self, p, action):

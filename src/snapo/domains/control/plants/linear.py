@@ -1,4 +1,5 @@
-"""A linear plant with a quadratic cost, its matrices in the case; its actions may have bounds."""
+"""A linear plant with a quadratic cost, whose matrices are in the case; its actions may have
+bounds."""
 
 import math
 
@@ -11,11 +12,9 @@ from .plant import Plant
 
 
 class LinearQuadratic(LinearQuadraticKind, Plant):
-    """x' = A x + B u + G z with z standard normal; costs are x'Q x + u'R u by step, x'Q_T x at the
-    end.
-
-    Without `limit` the best rule is linear, and value and derivatives are known in closed form:
-    see `regulator.py`. With it, every action lies between -limit and limit.
+    """x' = A x + B u + G z with z standard normal; the cost is x'Q x + u'R u in every step and
+    x'Q_T x at the end. Without `limit` the best rule is linear, and its value and derivatives have
+    a closed form: see `regulator.py`. With `limit`, every action lies between -limit and limit.
     """
 
     def decisions(self, inputs):

@@ -19,11 +19,11 @@ class MountainCar(MountainCarKind, Plant):
     speed' = clip(speed + power a - gravity cos(3 position)), position' = clip(position + speed'),
     speed' = 0 if it runs into the left wall. A step costs 0.1 a^2 until the car arrives.
 
-    The exact reward gives no hint of the goal. In training, energy decides whether the goal is
-    reached: each step ends the episode with a probability that is 1/2 where the energy, v^2 / 2 +
-    gravity sin(3 x) / 3, slightly exceeds the energy needed for the hill, and decreases below it
-    over a width set by the temperature; `alive` is the probability of not having arrived. With the
-    energy needed for the hill, the next swing reaches the goal.
+    The exact reward gives no hint of the goal. In training, the energy v^2 / 2 + gravity sin(3 x) /
+    3 decides whether the goal is reached, because a car with the energy needed for the hill reaches
+    the goal in the next swing. Each step ends the episode with a probability that rises with the
+    energy, over a width that the temperature determines. It is 1/2 at an energy slightly above the
+    energy needed. `alive` is the probability that the car has not arrived.
     """
 
     def initial(self, constants, noise):
@@ -73,11 +73,14 @@ class MountainCar(MountainCarKind, Plant):
 
     def hand_rules(self, p):
         push = [jnp.full(1, -1.0), jnp.full(1, 1.0)]
-        return {"full power with the speed": Threshold(jnp.zeros(()), *push, feature=1)}
+        return {
+            "full power in the direction of the speed": Threshold(jnp.zeros(()), *push, feature=1)
+        }
 
 
 def energy(p, state):
-    """Energy above that at rest in the valley, as a share of the energy needed for the goal."""
+    """The energy above the energy at rest in the valley, as a share of the energy needed for the
+    goal."""
     high = (jnp.sin(3 * p["goal"]) + 1) * p["gravity"] / 3
     lifted = (jnp.sin(3 * state["position"]) + 1) * p["gravity"] / 3
     return (state["speed"] ** 2 / 2 + lifted) / high

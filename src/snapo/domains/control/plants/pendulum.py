@@ -10,10 +10,11 @@ from .plant import Plant
 
 
 class Pendulum(PendulumKind, Plant):
-    """A rod of length l and mass m, driven by a torque u of at most `torque` (Gymnasium 1.4).
+    """A rod of length l and mass m, driven by a torque u of absolute value up to `torque`
+    (Gymnasium 1.4).
 
     speed' = clip(speed + (3 g / (2 l) sin(angle) + 3 u / (m l^2)) dt), angle' = angle + speed' dt;
-    the angle is 0 upright. The cost is that of the state before the step: angle^2 (between -pi and
+    the angle is 0 upright. The cost depends on the state before the step: angle^2 (between -pi and
     pi) + 0.1 speed^2 + 0.001 u^2.
     """
 

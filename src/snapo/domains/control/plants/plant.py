@@ -1,4 +1,4 @@
-"""The base class of all plants: equations of one step, a cost by parts.
+"""The base class of all plants: the equations of one step, and a cost that is a sum of parts.
 
 A plant is a `Simulator` whose states have names. Its parameters, the weights of its cost, the
 distribution of its initial state and its disturbances are inputs, so that each has a sensitivity.
@@ -24,17 +24,18 @@ PlantState = dict[str, Array]
 
 
 class Plant(PlantKind, Simulator):
-    """One path of a controlled plant. A subclass has the equations, and the description of its kind
-    as a base class.
+    """One path of a controlled plant. A subclass contains the equations, and has the description of
+    its kind as another base class.
 
     **Attributes:**
 
     - `horizon`: number of steps; `time_feature`: whether the policy sees the share of the horizon
       that is left.
     - `starts`: ((state, keys of its distribution), …) for all states.
-    - `disturbed_parts`: the states with a disturbance; `sizes`: pairs (state, how many numbers it
-      has).
-    - `measured`: the states that are observed with measurement noise, the others exactly.
+    - `disturbed_parts`: the states with a disturbance; `sizes`: pairs (state, the count of its
+      numbers).
+    - `measured`: the states that are observed with measurement noise; the other states are observed
+      exactly.
     """
 
     horizon: int = eqx.field(static=True)
@@ -51,7 +52,7 @@ class Plant(PlantKind, Simulator):
         horizon: int | None = None,
         timer: bool | None = None,
     ):
-        """The plant for `inputs` (see `inputs.py`): only their shapes and keys count."""
+        """Makes the plant for `inputs` (see `inputs.py`), of which it uses only shapes and keys."""
         self.horizon = self.steps if horizon is None else horizon
         self.time_feature = self.sees_time if timer is None else timer
         self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
@@ -62,7 +63,7 @@ class Plant(PlantKind, Simulator):
         self.action = self.decisions(inputs)
 
     def decisions(self, inputs: Mapping[str, PlantValues]) -> Actions:
-        """The set of actions: a share of each limit, from -1 to 1."""
+        """The set of actions; an action is a share of its limit, from -1 to 1."""
         return Box(-1.0, 1.0, len(self.actions))
 
     @property
@@ -77,7 +78,7 @@ class Plant(PlantKind, Simulator):
 
     @abc.abstractmethod
     def drive(self, p: PlantValues, action: Any) -> Any:
-        """The physical action [m] of a decision [m] in the set."""
+        """The physical action [m] for a decision [m] in the set."""
 
     @abc.abstractmethod
     def move(self, p: PlantValues, state: PlantState, u: Float[Array, " m"], smooth) -> PlantState:
@@ -87,10 +88,10 @@ class Plant(PlantKind, Simulator):
     def cost(
         self, w: PlantValues, p: PlantValues, state: PlantState, u: Float[Array, " m"]
     ) -> PlantState:
-        """The cost of a step by part, from the state before it."""
+        """The parts of the cost of a step, which depends on the state before the step."""
 
     def final_cost(self, w: PlantValues, p: PlantValues, state: PlantState) -> PlantState:
-        """The cost of the terminal state by part."""
+        """The parts of the cost of the terminal state."""
         return {}
 
     @abc.abstractmethod
@@ -99,7 +100,7 @@ class Plant(PlantKind, Simulator):
 
     @abc.abstractmethod
     def recover(self, p: PlantValues, features: Float[Array, " features"]) -> PlantState:
-        """The state that an observation shows; angles between -pi and pi."""
+        """The state that belongs to an observation; angles are between -pi and pi."""
 
     def target_at(self, p: PlantValues) -> dict[str, np.ndarray]:
         """The state at which the plant should rest, by default 0."""
@@ -115,7 +116,7 @@ class Plant(PlantKind, Simulator):
         return {}
 
     def hand_rules(self, p: PlantValues) -> dict[str, Policy]:
-        """Classical rules for this plant only, by name."""
+        """Classical rules for only this plant, by name."""
         return {}
 
     def from_twin(self, p: PlantValues, observed: np.ndarray) -> np.ndarray:
@@ -174,7 +175,7 @@ class Plant(PlantKind, Simulator):
         return outputs(parts) if parts else {}
 
     def read_off(self, constants, state: PlantState, noise: Float[Array, " noise"]) -> PlantState:
-        """The state with its readings, which have independent errors."""
+        """The state with its measured values, which have independent errors."""
         if not self.measured:
             return state
         observed, used, sizes = {}, 0, dict(self.sizes)
@@ -185,7 +186,8 @@ class Plant(PlantKind, Simulator):
         return {**state, MEASURED: observed}  # pyright: ignore[reportReturnType]
 
     def disturbed(self, now, state: PlantState, noise: Float[Array, " noise"]) -> PlantState:
-        """The state with the disturbances of this step: a deviation, or a matrix, times normals."""
+        """The state with the disturbances of this step: standard normals times a deviation or a
+        matrix."""
         state, used = dict(state), 0
         for name in self.disturbed_parts:
             n = dict(self.sizes)[name]

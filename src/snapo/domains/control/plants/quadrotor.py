@@ -11,9 +11,9 @@ from .plant import Plant, runge_kutta
 
 class Quadrotor(QuadrotorKind, Plant):
     """x'' = -(F1 + F2) sin(tilt) / m, z'' = (F1 + F2) cos(tilt) / m - g, tilt'' = (F1 - F2) arm /
-    inertia; Runge-Kutta of order 4. The force of each rotor is 0 to `thrust`. A step costs the
-    squares of all states, and of the difference of the rotors' forces from hovering in shares of
-    `thrust`, each with its weight.
+    inertia; Runge-Kutta of order 4. The force of each rotor is 0 to `thrust`. The cost of a step is
+    a weighted sum of the squares of all states and of the forces of the rotors minus their forces
+    in hovering, as shares of `thrust`.
     """
 
     def decisions(self, inputs):

@@ -1,4 +1,4 @@
-"""Two tanks one below the other, fed by a pump: hold the level of the lower one."""
+"""Two tanks, one below the other, fed by a pump: hold the level of the lower tank."""
 
 import jax.numpy as jnp
 import numpy as np
@@ -15,9 +15,9 @@ class TwoTanks(TwoTanksKind, Plant):
     """Levels h of water, outflow c sqrt(2 g h) (Torricelli); the pump feeds the upper tank.
 
     area h1' = flow - c1 sqrt(2 g h1), area h2' = c1 sqrt(2 g h1) - c2 sqrt(2 g h2); Runge-Kutta of
-    order 4, then levels between 0 and `height`: the excess spills. The cost of a step is the
-    squared distance of the lower level from its target, plus the square of the pump's share of its
-    largest flow.
+    order 4, then levels between 0 and `height`: the excess spills. The cost of a step has two
+    squares, each with its weight: the distance of the lower level from its target, and the change
+    of the pump's flow from its flow at rest, as a share of its largest flow.
     """
 
     def drive(self, p, action):

@@ -59,7 +59,9 @@ class ValuedRun:
             raise CaseError(str(folder), "kind", record["kind"], message)
         run_folder.check_whole(folder, record, (POLICY, SOLUTION, run_folder.GROUPS))
         if "result" in record and changed_files(folder, {run_folder.RESULT: record["result"]}):
-            message = "this file was changed after it was written: solve with --resume again"
+            message = (
+                "this file was changed after it was written: run snapo solve again with --resume"
+            )
             raise CaseError(str(folder / run_folder.RESULT), "", None, message)
         result = RunResult.read(folder)
         if result.value is None or result.standard_error is None:

@@ -1,4 +1,4 @@
-"""A description of the case, written before any work and read by all sections."""
+"""A description of the case, which is written before any computation and read by all sections."""
 
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -14,11 +14,11 @@ from ..setup import AnyCase
 
 @dataclass(frozen=True)
 class CaseSummary:
-    """The entries of a run's `about` that its sections read.
+    """The entries in the `about` of a run that the sections of its report read.
 
     - `item_unit`, `step`, `currency`: names of units, "piece", "week", "EUR"; `units`: the units of
       outputs.
-    - `horizon`: the number of all periods; `warm_up`: the number of the first periods, which do
+    - `horizon`: the number of all periods; `warm_up`: the number of periods at the start that do
       not count.
     - `lead_time`: the lead time of an item; None for a `network`.
     - `other_leads`: whether other lead times are trained; `lost`: whether unmet demand is lost.
@@ -39,13 +39,13 @@ class CaseSummary:
 
     @classmethod
     def of(cls, run: RunFiles) -> "CaseSummary":
-        """The description of a run; a missing entry has its default."""
+        """The description in a run; a missing entry has its default."""
         entries = {entry.name: run.get(entry.name) for entry in fields(cls)}
         return cls(**{name: value for name, value in entries.items() if value is not None})
 
     @property
     def counted(self) -> int:
-        """The periods that count: without those of the warm-up."""
+        """The number of periods that count, which excludes the warm-up."""
         return self.horizon - self.warm_up
 
 
@@ -63,7 +63,8 @@ def about(case: AnyCase) -> dict[str, Any]:
         "step": case.period,
         "horizon": case.horizon,
         "warm_up": case.warm_up,
-        "objective": f"{case.objective.kind} of the result{per}, which is minus all costs",
+        "objective": f"{case.objective.kind} of the result{per}; the result is minus the sum of "
+        f"all costs",
         "objective_output": "result",
         "notes": list(case.notes),
         "other_leads": case.other_leads,
@@ -82,7 +83,8 @@ def about(case: AnyCase) -> dict[str, Any]:
 
 
 def _arrivals(count: int, period: str) -> dict[str, str]:
-    """{number of the state: its name in a report}, of the outstanding orders by their arrival."""
+    """{number of the state: its name in a report} for the outstanding orders, by time of
+    arrival."""
     keys = ["coming"] if count == 1 else [f"coming.{i}" for i in range(count)]
     return {
         key: f"Order that arrives in {i} {period}{'s' * (i > 1)}" for i, key in enumerate(keys, 1)
@@ -90,7 +92,7 @@ def _arrivals(count: int, period: str) -> dict[str, str]:
 
 
 def units_of(case: AnyCase) -> dict[str, str]:
-    """Units of states, action and outputs."""
+    """The units of states, action and outputs."""
     states = dict.fromkeys(("stock", "coming", "action"), case.unit)
     outputs, averages = OUTPUTS, AVERAGES
     counts = ["orders", "cycles", "cycles_met"]

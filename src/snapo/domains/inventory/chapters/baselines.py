@@ -1,4 +1,4 @@
-"""The trained rule compared with classical ones, each with its best numbers, on the same paths."""
+"""Compares the trained rule on the same paths with classical rules, each with its best numbers."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
@@ -28,7 +28,7 @@ class RuleResult:
 
     - `difference`, `difference_error`: the difference from the trained rule and its error, paired
       path by path; None for the trained rule.
-    - `numbers`: the numbers of the rule, in a planner's terms.
+    - `numbers`: the numbers of the rule, as a planner writes them.
     """
 
     rule: str
@@ -41,13 +41,13 @@ class RuleResult:
 
 @dataclass(frozen=True)
 class RuleResults:
-    """All rules, the trained one first."""
+    """All rules, with the trained rule first."""
 
     rivals: tuple[RuleResult, ...]
 
 
 def measure(run: StudyRun) -> RuleResults:
-    """All classical rules of the item or network on the paths of the trained one."""
+    """Values all classical rules of the item or network on the paths of the trained rule."""
     setup = run.setup
     problem, paths = setup.problem, run.solution.paths["evaluate"]
     source, is_network = problem.sources.evaluation, isinstance(problem.simulator, NetworkSimulator)
@@ -57,7 +57,7 @@ def measure(run: StudyRun) -> RuleResults:
     def compare(name: str, shares: np.ndarray, trained: np.ndarray, numbers: dict[str, float]):
         result, gap = of_shares(shares), of_shares(shares - trained)
         run.progress(
-            f"{name}: {result.value:,.6g}, difference to the trained rule {gap.value:+,.3g}"
+            f"{name}: {result.value:,.6g}, difference from the trained rule {gap.value:+,.3g}"
         )
         rows.append(RuleResult(name, *result[:2], *gap[:2], numbers))
 
@@ -71,8 +71,7 @@ def measure(run: StudyRun) -> RuleResults:
 
 
 def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
-    """Shares of the independent groups of the first paths, for a rule that takes longer to
-    compute."""
+    """Means over independent groups of the first paths, for a rule that takes long to compute."""
     problem, source = setup.problem, setup.problem.sources.evaluation
     assert policy is not None
     paths = min(SEARCH_PATHS, setup.evaluation.paths)
@@ -81,7 +80,7 @@ def _first_paths(setup: Setup, policy: Policy | None) -> np.ndarray:
 
 
 def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
-    """Costs of all rules, and their excess over the cost of the trained one."""
+    """The costs of all rules, and their excess over the cost of the trained rule."""
     rows = result.rivals
     errors = [row.difference_error for row in rows if finite(row.difference_error)]
     digits = min(6, max([2, *(decimals([error], 2) for error in errors)]))
@@ -105,13 +104,18 @@ def show(run: RunFiles, result: RuleResults) -> Sequence[Block]:
         Column("", share),
     )
     text = (
-        "The parameters of each rule are the best ones in a search on other paths; differences "
-        "are paired, path by path."
+        "The parameters of each rule are the best of a search on other paths; differences are "
+        "between values on the same paths."
     )
     costs = table(rows, columns, "Costs of the rules", decimal_places=digits)
     return [replace(costs, texts=2, strong=frozenset([0])), Text(text, caveat=True)]
 
 
 BASELINES = Chapter(
-    "rivals", "Classical rules on the same paths", RuleResults, measure, show, short="Rivals"
+    "rivals",
+    "The trained rule and classical rules on the same paths",
+    RuleResults,
+    measure,
+    show,
+    short="Rules",
 )

@@ -1,4 +1,5 @@
-"""A lead time one period shorter, and one period longer: each trained again, on the same paths."""
+"""The effect of a lead time one period shorter or longer: the rule is trained again and valued on
+the same paths."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -39,13 +40,14 @@ class OtherLeadTime:
 
 @dataclass(frozen=True)
 class OtherLeadTimes:
-    """Each other lead time separately; in a network, each place separately."""
+    """The results with other lead times; in a network, the lead time of one place at a time is
+    changed."""
 
     lead_time_change: tuple[OtherLeadTime, ...]
 
 
 def measure(run: StudyRun) -> OtherLeadTimes:
-    """One period less and one period more, as far as a case allows them."""
+    """Measures one period less and one period more, as far as the case allows them."""
     rows = []
     for site, lead, other, case in _other_cases(run.setup):
         if 0 <= other <= LONGEST_LEAD:
@@ -57,7 +59,8 @@ def measure(run: StudyRun) -> OtherLeadTimes:
 
 
 def _other_cases(setup: Setup) -> Iterator[tuple[str, int, int, AnyCase]]:
-    """(place, its lead time, the other one, the case with it); the horizon stays."""
+    """(place, its lead time, the other lead time, the case with the other lead time); the horizon
+    is unchanged."""
     if isinstance(setup.problem.simulator, NetworkSimulator):
         case = network_of(setup)
         for i, site in enumerate(case.network.sites):
@@ -98,7 +101,7 @@ def _change(run: StudyRun, other: Setup) -> statistics.Sampled:
 
 
 def lead_time(run: RunFiles) -> Section:
-    """The section; for a run without other lead times, how to request them."""
+    """The section; a run without other lead times has a text on how to request them."""
     section = LEAD_TIME(run)
     if CaseSummary.of(run).other_leads:
         return section
@@ -107,17 +110,17 @@ def lead_time(run: RunFiles) -> Section:
 
 
 def show(run: RunFiles, result: OtherLeadTimes) -> Sequence[Block]:
-    """The cost of a lead time one period longer or shorter."""
+    """Shows the change in cost if the lead time is one period longer or shorter."""
     step, rows = CaseSummary.of(run).step, result.lead_time_change
     columns = [
         Column("Lead time", lambda row: counted(row.lead, step)),
-        Column("Cost, change", lambda row: WithError(-row.change, row.standard_error), run.unit,
+        Column("Change in cost", lambda row: WithError(-row.change, row.standard_error), run.unit,
                sign=True),
     ]  # fmt: skip
     if any(row.place for row in rows):
         columns.insert(0, Column("Place", "place"))
     digits = max(decimals([row.standard_error for row in rows], 2), 2)
-    text = "The rule is trained again for each lead time, and compared on the same paths."
+    text = "The rule is trained again for each lead time; results are compared on the same paths."
     changes = table(rows, columns, "Other lead times", decimal_places=digits)
     return [changes, Text(text, caveat=True)]
 

@@ -1,4 +1,4 @@
-"""The trained rule of an item: the order, and the order-up-to level, by stock."""
+"""The trained rule of an item: the order and the order-up-to level for each stock."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -34,10 +34,11 @@ LINES = 25  # of the table
 
 @dataclass(frozen=True)
 class OrderCurve:
-    """The rule at every stock, for one amount on its way that is spread over the lead time.
+    """The rule at every stock, for one amount of outstanding orders that is spread over the lead
+    time.
 
-    - `orders` [n]: the orders; `levels` [n]: the sum of stock, goods on their way and the order;
-      NaN without an order.
+    - `orders` [n]: the orders; `levels` [n]: the sum of stock, outstanding orders and the new
+      order; NaN if nothing is ordered.
     """
 
     coming: Number
@@ -54,7 +55,7 @@ class OrderCurves:
 
     @property
     def places(self) -> int:
-        """Decimals of amounts: none if all of them are whole."""
+        """The number of decimals for amounts; 0 if all amounts are whole."""
         amounts = [self.stock]
         for curve in self.curves:
             amounts += [np.array([curve.coming]), curve.orders, curve.levels]
@@ -63,7 +64,8 @@ class OrderCurves:
 
 
 def measure(run: StudyRun) -> OrderCurves:
-    """Orders at several stocks, without goods on their way and with usual amounts on their way."""
+    """Measures the orders at several stocks, without outstanding orders and with usual amounts of
+    them."""
     setup, case = run.setup, case_of(run.setup)
     now = at(setup.problem.schedule.steps, case.warm_up)
     stock = stocks(case, float(now["level"]))
@@ -80,14 +82,14 @@ def measure(run: StudyRun) -> OrderCurves:
 
 
 def stocks(case: InventoryCase, level: float) -> np.ndarray:
-    """Stocks from zero, or from waiting demand, to somewhat above the level."""
+    """Stocks from zero to somewhat above the level; if demand waits, from below zero."""
     low = 0.0 if case.item.lost else -level / 2
     grid = np.linspace(low, 1.2 * level, POINTS)
     return np.unique(np.round(grid)) if case.item.integer else grid
 
 
 def orders(setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray) -> np.ndarray:
-    """[n] exact orders of the rule at these stocks, in the first period that counts."""
+    """[n] the exact orders of the rule at these stocks, in the first period that counts."""
     problem, case = setup.problem, case_of(setup)
     simulator, fixed = problem.simulator, case.item.fixed
     schedule = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), problem.schedule)
@@ -106,7 +108,7 @@ def orders(setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray) 
 
 
 def today(setup: Setup, policy: Policy) -> Today:
-    """The order at the start."""
+    """The order in the first period."""
     case, constants = case_of(setup), setup.problem.schedule.constants
     stock, coming = float(constants["stock"]), np.asarray(constants["coming"], np.float64)
     order = float(orders(setup, policy, np.array([stock]), coming)[0])
@@ -120,7 +122,7 @@ def today(setup: Setup, policy: Policy) -> Today:
 
 
 def show(run: RunFiles, result: OrderCurves) -> Sequence[Block]:
-    """Orders by stock, a curve for every amount on its way."""
+    """Shows orders by stock, with a curve for every amount of outstanding orders."""
     case = CaseSummary.of(run)
     unit, curves, digits = case.item_unit, result.curves, result.places
     names = [f"{number(curve.coming, digits)} {plural(unit)} on their way" for curve in curves]
@@ -136,15 +138,15 @@ def show(run: RunFiles, result: OrderCurves) -> Sequence[Block]:
         unit_above(axes, f"Order, {plural(unit)}")
         legend_above(axes)
 
-    alt = f"Orders fall from {number(curves[0].orders[0], 1)} at the smallest stock to none."
+    alt = f"Orders fall from {number(curves[0].orders[0], 1)} at the smallest stock to 0."
     caption = "The order of the trained rule for each stock, in the first period that counts" + (
         ", if outstanding orders are spread evenly over the lead time."
         if (case.lead_time or 0) > 1
         else "."
     )
     text = (
-        "A base-stock rule is a falling line with slope −1. If demand is lost, the best rule "
-        "falls less steeply, and reacts most to the orders that arrive last."
+        "A base-stock rule is a line with slope −1. If demand is lost, the best rule falls less "
+        "steeply, and the orders that arrive last have the largest effect on it."
         if case.lost
         else "The level up to which the rule orders is the sum of stock, outstanding orders and "
         "the new order."
@@ -158,7 +160,7 @@ def _table(result: OrderCurves, unit: str) -> Table:
     head = [("Stock", unit)]
     for curve in curves:
         coming = f" ({number(curve.coming, digits)} on their way)" if len(curves) > 1 else ""
-        head += [(f"Order{coming}", unit), ("Up to", unit)]
+        head += [(f"Order{coming}", unit), ("Order-up-to level", unit)]
     lines = np.linspace(0, len(stock) - 1, min(LINES, len(stock))).round().astype(int)
     rows = []
     for i in np.unique(lines):

@@ -20,12 +20,12 @@ from .service import CostAndService, PathMean
 
 @dataclass(frozen=True)
 class PlaceService:
-    """A place: averages of a period, each with its standard error.
+    """A place: averages per period, each with its standard error.
 
     - `level`: the order-up-to level; if an order has a cost, the mean over orders only.
     - `supplier`: empty if goods come from outside.
-    - `orders`, `order_size`: number and size of orders in a period, if an order has a cost; `sent`,
-      `received`: only for places in a pool.
+    - `orders`, `order_size`: the number of orders in a period and their size, if an order has a
+      cost; `sent`, `received`: transfers in a period, only for places in a pool.
     - `demand`, `fill_rate`: only for places with customers.
     """
 
@@ -43,13 +43,13 @@ class PlaceService:
 
 @dataclass(frozen=True)
 class NetworkService(CostAndService):
-    """Service and costs of the network, and by place."""
+    """Service and costs of the whole network and of every place."""
 
     places: tuple[PlaceService, ...]
 
 
 def measure(run: StudyRun) -> NetworkService:
-    """Service and costs as for an item, and the places."""
+    """Measures service and costs as for an item, and all places."""
     case, paths = network_of(run.setup), service.paths_of(run)
     optional = [(case.ordering, "ordering"), (case.transshipment, "transshipment")]
     names = ["holding", "shortage", *(name for cost, name in optional if cost is not None)]
@@ -88,7 +88,7 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     columns = [
         Column("Place", "name"),
         Column("Supplied by", lambda site: site.supplier or "outside"),
-        mean("level", "Orders up to", unit, 2),
+        mean("level", "Order-up-to level", unit, 2),
         Column("Stock", lambda site: WithError(site.stock.value, site.stock.standard_error),
                unit, decimal_places=digits),
         mean("demand", "Demand", unit, digits),
@@ -96,8 +96,8 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     ]  # fmt: skip
     text = (
         "Stock is the average on hand at the end of a period. The level up to which a place "
-        "orders is a mean over periods of this sum: all goods at the place, on their way to it "
-        "and further downstream, minus demand that waits, plus the order."
+        "orders is the mean over periods of the following sum: all goods at the place, on their "
+        "way to it and further downstream, minus demand that waits, plus the order."
     )
     if any(place.sent for place in sites):
         columns += [mean("sent", "Sent", unit, digits), mean("received", "Received", unit, digits)]
@@ -105,7 +105,9 @@ def show(run: RunFiles, result: NetworkService) -> Sequence[Block]:
     if any(place.orders for place in sites):
         columns.append(mean("orders", "Orders", f"1/{case.step}", 2))
         columns.append(mean("order_size", "Order size", unit, 2))
-        text += " With a fixed cost, the level is the mean over the orders."
+        text += (
+            " If an order has a fixed cost, the level is the mean over the periods with an order."
+        )
     rows = table(sites, columns, "Stock and service by place")
     return [rows, Text(text, caveat=True)]
 
@@ -118,14 +120,15 @@ PLACES = Chapter("service", "Places", NetworkService, measure, show, short="Plac
 
 
 def service_and_places(run: StudyRun) -> dict[str, Any]:
-    """The part "service" of a network: a row omits the numbers that a place does not have."""
+    """The part "service" of a network's results; the row of a place omits numbers that it does not
+    have."""
     entries = PLACES.data(measure(run))
     rows = [{name: x for name, x in row.items() if x is not None} for row in entries["places"]]
     return entries | {"places": rows}
 
 
 def network_tables(paths: PathTotals) -> list[LiveTable]:
-    """Service, costs and places as the live page shows them."""
+    """Tables of service, costs and places for the live page."""
     case = network_of(paths.setup)
     columns = (("place", ""), ("stock", case.unit), ("±", ""), ("fill rate", "%"), ("±", ""))
     rows = []

@@ -1,4 +1,4 @@
-"""The cost for a planner, with the service that it buys, and the parts of the cost."""
+"""The cost, its parts, and the service that results, for a planner."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ from .about import CaseSummary
 
 COSTS = ("holding", "shortage", "purchase", "ordering", "transshipment")
 SHARES = {
-    "fill_rate": ("Fill rate", "of demand is met from stock at once"),
+    "fill_rate": ("Fill rate", "of demand is met from stock immediately"),
     "cycle_service": ("Cycle service", "of replenishment cycles have no unmet demand"),
     "period_service": ("Periods without shortage", "of all periods"),
 }
@@ -36,7 +36,7 @@ AMOUNTS = {
     "stock": ("Average stock", "at the end of a period"),
     "orders": ("Orders", "in a period"),
     "order_size": ("Order size", "mean"),
-    "demand": ("Demand", "of a period, mean"),
+    "demand": ("Demand", "mean per period"),
 }
 
 
@@ -48,7 +48,7 @@ class PathMean:
     standard_error: Number
 
     def times(self, factor: float) -> tuple[float, float]:
-        """Both, in another unit."""
+        """The mean and its error in another unit."""
         return factor * self.value, factor * self.standard_error
 
 
@@ -65,10 +65,11 @@ class CostPart:
 class CostAndService:
     """Service and costs.
 
-    - `service`: {name: mean} with the names of `SHARES` and `AMOUNTS`: fill rate (demand met from
-      stock at once), periods without unmet demand, stock at the end of a period and demand of a
-      period. An item also has cycle service (replenishment cycles without unmet demand), orders in
-      a period and units of an order.
+    - `service`: {name: mean} with the names of `SHARES` and `AMOUNTS`: the fill rate (share of
+      demand met from stock immediately), the share of periods without unmet demand, stock at the
+      end of a period, and demand of a period. An item also has the cycle service (share of
+      replenishment cycles without unmet demand), the number of orders in a period, and the units of
+      an order.
     - `costs`: in the order of `COSTS`.
     """
 
@@ -77,7 +78,7 @@ class CostAndService:
 
 
 def measure(run: StudyRun) -> CostAndService:
-    """Service and costs of an item."""
+    """Measures service and costs of an item."""
     item, paths = case_of(run.setup).item, paths_of(run)
     orders = {"orders": total(paths, "orders"), "order_size": ratio(paths, "ordered", "orders")}
     names = [name for name in COSTS[:4] if item.cost(name) > 0]
@@ -116,12 +117,12 @@ def service_of(paths: PathTotals) -> dict[str, PathMean]:
 
 
 def costs_of(paths: PathTotals, names: Sequence[str]) -> tuple[CostPart, ...]:
-    """These parts of the cost."""
+    """The parts of the cost with these names."""
     return tuple(CostPart(name, *paths.mean(paths.totals[name])) for name in names)
 
 
 def headline(run: RunFiles) -> Section:
-    """The cost of the trained rule, and the service."""
+    """The section with the cost of the trained rule, and its service."""
     title, value = "Cost and service", run.result.value
     if value is None:
         return Section("value", title, "Cost", [why_missing(run, "training")])
@@ -167,7 +168,7 @@ def _cost_table(costs: Sequence[CostPart], unit: str) -> Table:
         )
         for cost in costs
     ]
-    rows.append(("Together", number(everything, digits), "", percent(1.0)))
+    rows.append(("All costs", number(everything, digits), "", percent(1.0)))
     head = [("Cost", ""), ("", unit), ("", ""), ("Share", "")]
     return Table(head, rows, "Cost by part", 1, strong=frozenset([len(rows) - 1]))
 
@@ -176,7 +177,7 @@ SERVICE = Chapter("service", "Cost and service", CostAndService, measure, show)
 
 
 def live_tables(paths: PathTotals) -> list[LiveTable]:
-    """Service and costs as the live page shows them."""
+    """Tables of service and costs for the live page."""
     case: AnyCase = paths.setup.case
     units = {"stock": case.unit, "demand": f"{case.unit}/{case.period}"}
     rows = []

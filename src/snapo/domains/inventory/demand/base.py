@@ -1,7 +1,8 @@
 """The interface of all kinds of demand, and their list.
 
-Demand of a period is a function of one standard normal and of the demand's parameters, with a
-derivative with respect to them in both simulators. Periods differ by a factor of the mean.
+Demand of a period is a function of one standard normal and of parameters. It has derivatives with
+respect to the parameters in exact and in smooth simulation. Periods differ in a factor that
+multiplies the mean.
 """
 
 import abc
@@ -24,13 +25,14 @@ Parameters = Mapping[str, Any]
 
 
 def mean_key(range: Range = POSITIVE, default: Any = ...) -> Any:
-    """The key `mean` of a table, of a period whose factor is 1."""
+    """The key `mean` of a table: the mean of a period whose factor is 1."""
     quantity = Quantity("1", range, "demand", name=MEAN)
     return quantity("mean demand of a period", default)
 
 
 def deviation_key(note: str = "", default: Any = ...) -> Any:
-    """The key `deviation` of a table, of a period whose factor is 1; `note` on its range."""
+    """The key `deviation` of a table, for a period whose factor is 1; `note`: text added to its
+    range."""
     quantity = Quantity("1", POSITIVE._replace(note=note), "demand", name=DEVIATION)
     return quantity("standard deviation of the demand of a period", default)
 
@@ -49,35 +51,36 @@ class Demand(TreeRecord):
     @classmethod
     @abc.abstractmethod
     def read(cls, section: TableContext, table: Any, maximum: float) -> Self:
-        """Makes it from its table, whose numbers have units; `maximum`: the largest factor of a
-        period."""
+        """Makes the demand from its table, whose numbers have units; `maximum`: the largest factor
+        of a period."""
 
     def inputs(self) -> tuple[CaseInput, ...]:
-        """Its parameters, which are differentiable inputs."""
+        """The parameters as differentiable inputs."""
         return tuple(x for x in vars(self).values() if isinstance(x, CaseInput))
 
     def names(self) -> tuple[str, ...]:
-        """The names of its parameters, in a case and in a simulator."""
+        """The names of the parameters, both in a case and in a simulator."""
         return tuple(x.name for x in vars(self).values() if isinstance(x, CaseInput | Use))
 
     @abc.abstractmethod
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
-        """The schedule of demand [T, …]: once for all paths."""
+        """The schedule of demand [T, …], which is computed once for all paths."""
 
     @abc.abstractmethod
     def draw(self, now: Any, normal: Float[Array, ""], spread: bool) -> Float[Array, ""]:
-        """Demand of the period `now`; `spread`: whole demand, spread by half a unit."""
+        """Demand of the period `now`; `spread`: whether whole demand is spread over an interval of
+        one unit."""
 
     @abc.abstractmethod
     def deviation(self, parameters: Parameters, factors: Any) -> Any:
-        """The standard deviation of periods with these factors, shaped like them."""
+        """The standard deviations of periods with these factors, in the shape of `factors`."""
 
     @abc.abstractmethod
     def describe(self) -> str:
         """A short description: "Poisson, mean 5"."""
 
     def probabilities(self, parameters: Parameters, factor: float = 1.0) -> Float[np.ndarray, " n"]:
-        """The probabilities of demand 0, 1, …, without a tail of 1e-8."""
+        """The probabilities of demand 0, 1, …; an upper tail of probability 1e-8 is omitted."""
         raise NotImplementedError(f"demand {self.kind!r} is not in whole units.")
 
     def integral(self) -> bool:
@@ -85,7 +88,7 @@ class Demand(TreeRecord):
         return self.integer
 
     def in_pieces(self) -> bool:
-        """Whether demand, or its history, is whole: by default orders are then whole, too."""
+        """Whether demand, or its history, is in whole units; orders are then whole by default."""
         return self.integral()
 
     def values(self) -> dict[str, float]:
@@ -109,6 +112,6 @@ def register(demand: type[Demand]) -> type[Demand]:
 
 
 def as_input(numbers: CaseInput) -> Input:
-    """Numbers of a case as an input; a single number is not made a list."""
+    """Numbers of a case as an input; a single number remains a scalar."""
     made = numbers.input()
     return made if numbers.labels != ("",) else replace(made, value=made.value.reshape(()))

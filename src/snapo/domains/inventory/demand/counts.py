@@ -4,18 +4,18 @@ parameters.
 Demand k is drawn if the uniform number u is between F(k - 1) and F(k), where F is the distribution
 function. A step function has no useful derivative; this one gets
 
-    d demand = - d F(k - 1) / p(k),        p(k) = F(k) - F(k - 1),
+    d demand = - d F(k - 1) / p(k),        p(k) = F(k) - F(k - 1).
 
-with which the derivative of E f(demand) is exact for every f that is linear between whole numbers,
-if f is differentiated to the left at them: the sum of (f(k) - f(k - 1)) (-d F(k - 1)) over k, by
-parts. Costs of an inventory with whole orders are such functions of every demand. For a Poisson
-demand d demand / d mean is k / mean.
+With it, the derivative of E f(demand) is exact for every f that is linear between whole numbers, if
+the left derivative of f is used at whole numbers: by summation by parts it is the sum over k of
+(f(k) - f(k - 1)) (-d F(k - 1)). Costs of an inventory with whole orders are such functions of every
+demand. For a Poisson demand d demand / d mean is k / mean.
 
-At whole numbers stock is differentiated upwards, and so demand downwards; the simulator does the
-same.
+At whole numbers the simulator uses the right derivative with respect to stock and, in the same way,
+the left derivative with respect to demand.
 
-If demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k): continuous, with the same mean and a
-variance larger by 1/12, and with the derivative of that quantile.
+If demand is spread, it is k - 1/2 + (u - F(k - 1)) / p(k). This quantile is continuous, has the
+same mean and a variance larger by 1/12, and is differentiated directly.
 
 Kinds of `[demand]`: "poisson", "geometric" and "negative-binomial".
 """
@@ -41,9 +41,9 @@ ROOM = 1.1  # the mean may rise by a tenth (a report moves it by 1 %)
 
 
 class CountDemand(Demand):
-    """Demand 0, 1, … up to `maximum`; the last one includes all above.
+    """Demand 0, 1, … up to `maximum`; the last value includes all larger demands.
 
-    - `maximum`: the number of demands above zero that are distinguished.
+    - `maximum`: the number of distinguished demands above zero.
     """
 
     integer = True
@@ -51,7 +51,8 @@ class CountDemand(Demand):
 
     @abc.abstractmethod
     def logarithms(self, parameters: Parameters, factor: Array, k: Array) -> Array:
-        """ln of the probability of demand `k`, shaped like both together."""
+        """ln of the probability of demand `k`, in the common broadcast shape of `k` and the
+        parameters."""
 
     def prepare(self, parameters: Parameters, factors: Float[Array, " T"]) -> Any:
         """`below` [T, K]: F(k - 1); `probability` [T, K]: p(k)."""
@@ -81,17 +82,19 @@ class CountDemand(Demand):
 
 
 def _moved(level: Array, size: Array) -> Array:
-    """0, with the derivative of -level / size: that of a quantile whose distribution moves."""
+    """0, with the derivative of -level / size, which is the derivative of a quantile with respect
+    to the parameters of its distribution."""
     return (jax.lax.stop_gradient(level) - level) / size
 
 
 def count_mean() -> Any:
-    """The key `mean` of demand in whole units, each of which is distinguished."""
+    """The key `mean` of demand in whole units; its range is limited, because every number of units
+    is distinguished."""
     return mean_key(LARGEST)
 
 
 def most_of(probabilities: Callable[[np.ndarray], np.ndarray]) -> int:
-    """The largest distinguished demand; `probabilities`: the probabilities of each demand, at the
+    """The largest distinguished demand; `probabilities`: the probabilities of all demands at the
     largest mean."""
     count = 64
     while (upto := np.cumsum(probabilities(np.arange(count + 1.0))))[-1] < 1 - TAIL:
@@ -121,13 +124,13 @@ def _log_factorial(k: np.ndarray) -> np.ndarray:
 class GeometricTable(CaseTable):
     """`[demand]` of kind "geometric"."""
 
-    kind: Literal["geometric"] = doc("geometric demand, of variance mean (1 + mean)")
+    kind: Literal["geometric"] = doc("geometric demand, with variance mean (1 + mean)")
     mean: CaseInput = count_mean()
 
 
 @register
 class GeometricDemand(CountDemand):
-    """p(k) = (1 - q) q^k with q = m / (1 + m), m the mean of the period."""
+    """p(k) = (1 - q) q^k with q = m / (1 + m), where m is the mean of the period."""
 
     kind = "geometric"
     table = GeometricTable
@@ -160,10 +163,9 @@ class NegativeBinomialTable(CaseTable):
 
 @register
 class NegativeBinomialDemand(CountDemand):
-    """p(k) = G(k + r) / (G(r) k!) (r / (r + m))^r (m / (r + m))^k, G the gamma function.
-
-    r = mean^2 / (deviation^2 - mean) is that of a period with the factor 1, and is the same for
-    all periods.
+    """p(k) = G(k + r) / (G(r) k!) (r / (r + m))^r (m / (r + m))^k, where G is the gamma function.
+    The parameter r = mean^2 / (deviation^2 - mean) is computed for a period with the factor 1, and
+    is the same for all periods.
     """
 
     kind = "negative-binomial"
@@ -177,7 +179,8 @@ class NegativeBinomialDemand(CountDemand):
         if deviation**2 <= 1.01 * mean:
             minimum = (1.01 * mean) ** 0.5
             message = (
-                f"it must be a number above {minimum:.4g}, the deviation of a Poisson demand; "
+                f"it must be a number above {minimum:.4g}, the standard deviation of a Poisson "
+                f"demand; "
                 'for a Poisson demand use kind "poisson"'
             )
             raise section.error("deviation", deviation, message)
@@ -218,7 +221,7 @@ class PoissonTable(CaseTable):
 
 @register
 class PoissonDemand(CountDemand):
-    """p(k) = e^-m m^k / k!, m the mean of the period."""
+    """p(k) = e^-m m^k / k!, where m is the mean of the period."""
 
     kind = "poisson"
     table = PoissonTable

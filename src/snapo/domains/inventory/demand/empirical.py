@@ -24,7 +24,7 @@ class EmpiricalTable(CaseTable):
 
     kind: Literal["empirical"] = doc("demand drawn from a history")
     history: Nonempty = doc(
-        "past demand by period, in units",
+        "past demand of each period, in units",
         allowed="the name of a CSV file with columns period,demand, and optionally factor",
     )
     mean: CaseInput | None = mean_key(MOVED, None)
@@ -33,15 +33,16 @@ class EmpiricalTable(CaseTable):
 
 @register
 class EmpiricalDemand(Demand):
-    """A period of the history, drawn at random.
+    """The demand of a period of the history that is drawn at random.
 
-    If the history has a column `factor`, its demand is divided by it, and a period drawn is
-    multiplied by its own factor. A change of the mean shifts all numbers by the same amount; the
-    deviation stretches them.
+    If the history has a column `factor`, past demand is divided by its factor, and a drawn demand
+    is multiplied by the factor of the simulated period. A change of the mean shifts all numbers by
+    the same amount; the deviation stretches them.
 
-    - `numbers`: the numbers of the history, sorted; `scores`: the same with mean 0 and deviation 1.
-    - `whole`: whether all numbers are whole; `moved`: whether the case has another mean or
-      deviation.
+    - `numbers`: the numbers of the history, sorted; `scores`: the same numbers, scaled to mean 0
+      and standard deviation 1.
+    - `whole`: whether all numbers are whole; `moved`: whether the case changes the mean or the
+      standard deviation.
     """
 
     kind = "empirical"
@@ -66,9 +67,7 @@ class EmpiricalDemand(Demand):
             for row in rows
         ]
         if max(numbers) == min(numbers):
-            message = (
-                "demand is the same in all periods, so that there is no distribution to draw from"
-            )
+            message = "demand is the same in all periods, so there is no distribution to draw from"
             raise CaseError(table.history, "", None, message)
         numbers = np.sort(numbers)
         return cls(
@@ -115,7 +114,8 @@ class EmpiricalDemand(Demand):
 
 
 def _moment(section: TableContext, key: str, value: float) -> CaseInput:
-    """A moment of the history, if the case has no other: written, it would be under `key`."""
+    """A moment of the history, which is used if the case has no number at `key`; a new number is
+    written there."""
     quantity = quantity_of(EmpiricalTable.model_fields[key])
     assert quantity is not None
     return quantity.input(quantity.name, [value], positions=((*section.keys, key),))

@@ -11,14 +11,15 @@ from .base import DEVIATION, MEAN, Demand, deviation_key, mean_key, register
 class NormalTable(CaseTable):
     """`[demand]` of kind "normal"."""
 
-    kind: Literal["normal"] = doc("normal demand; if it is negative, goods are returned")
+    kind: Literal["normal"] = doc("normal demand; negative demand means returned goods")
     mean: CaseInput = mean_key()
     deviation: CaseInput = deviation_key()
 
 
 @register
 class NormalDemand(Demand):
-    """mean + deviation z. Negative demand means returned goods; it is rare from 3 deviations on."""
+    """Demand is mean + deviation z. Negative demand means returned goods; it is rare if the mean is
+    at least 3 deviations."""
 
     kind = "normal"
     table = NormalTable
@@ -29,7 +30,9 @@ class NormalDemand(Demand):
     def read(cls, section: TableContext, table: NormalTable, maximum: float):
         mean, deviation = table.mean.values[0], table.deviation.values[0]
         if deviation > mean:
-            message = f"it must be at most the mean, {mean:g}: demand would often be below 0"
+            message = (
+                f"it must be at most the mean, {mean:g}; otherwise demand would often be negative"
+            )
             raise section.error("deviation", float(deviation), message)
         return cls(table.mean, table.deviation)
 

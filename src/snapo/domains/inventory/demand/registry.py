@@ -1,4 +1,4 @@
-"""Collects the kinds of demand in this folder, and reads `[demand]` with the named one."""
+"""Collects the kinds of demand in this folder, and reads `[demand]` as the kind that it names."""
 
 import pkgutil
 from collections.abc import Mapping

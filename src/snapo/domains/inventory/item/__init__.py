@@ -1,1 +1,1 @@
-"""One item: its records, and one path of it."""
+"""One item: its records and its simulator."""

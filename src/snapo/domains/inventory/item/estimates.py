@@ -1,4 +1,4 @@
-"""Rules of thumb of one item: the start of a rule, and the expected cost of a period."""
+"""Rules of thumb for one item: initial values of a rule, and the expected cost of a period."""
 
 from collections.abc import Callable
 from typing import Any
@@ -21,11 +21,12 @@ def usual_deviation(case: InventoryCase) -> float:
 
 
 def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None = None) -> float:
-    """How many standard deviations the first base-stock level is above the mean demand of L + 1
-    periods. It is the newsvendor's quantile p / (p + h); for lost sales p / (p + (L + 1) h), as if
-    demand waited at a shortage cost of p / (L + 1), which costs less than losing it (Janakiraman,
-    Seshadri and Shanthikumar, Operations Research 55, 2007). Training starts from this number.
-    `quantile`: the quantile function of the standard normal distribution, if it is not SciPy's.
+    """The initial base-stock level minus the mean demand of L + 1 periods, in standard deviations.
+    It is the newsvendor's quantile for p / (p + h). For lost sales it is the quantile for p / (p +
+    (L + 1) h), as if demand waited at a shortage cost of p / (L + 1), which costs less than lost
+    demand (Janakiraman, Seshadri and Shanthikumar, Operations Research 55, 2007). Training starts
+    from this number. `quantile`: the quantile function of the standard normal distribution, by
+    default SciPy's.
     """
     item = case.item
     holding = item.cost("holding") * (item.lead_time + 1 if item.lost else 1)
@@ -35,12 +36,13 @@ def safety_factor(case: InventoryCase, quantile: Callable[[float], float] | None
 
 def base_stock(mean: Any, deviation: Any, safety: Any) -> Any:
     """[T] the initial levels: `safety` standard deviations above the mean of the demand of
-    L + 1 periods; `mean`, `deviation` [T, L + 1]: of the demand of each."""
+    L + 1 periods; `mean`, `deviation` [T, L + 1]: mean and standard deviation of the demand in each
+    of these periods."""
     return xp.sum(mean, 1) + safety * xp.sqrt(xp.sum(deviation**2, 1))
 
 
 def season_ahead(factors: Any, periods: int, lead_time: int) -> Any:
-    """[T, L + 1] the factors of demand from each period until an order of it arrives."""
+    """[T, L + 1] the factors of demand from each period until an order placed in it arrives."""
     ahead = np.add.outer(np.arange(periods), np.arange(lead_time + 1))
     return factors[ahead % len(factors)]
 
@@ -52,12 +54,12 @@ def _quantile(share: float) -> float:
 
 
 def density_at(share: float) -> float:
-    """The standard normal density at the quantile that this share of demands is below."""
+    """The standard normal density at the quantile of this probability."""
     return float(np.exp(-(_quantile(share) ** 2) / 2) / np.sqrt(2 * np.pi))
 
 
 def economic_lot(case: InventoryCase) -> float:
-    """sqrt(2 K mean (p + h) / (h p)): the order size where demand is steady (Harris; Camp)."""
+    """sqrt(2 K mean (p + h) / (h p)): the optimal order size for constant demand (Harris; Camp)."""
     item = case.item
     holding, shortage = item.cost("holding"), item.cost("shortage")
     more = (shortage + holding) / (holding * shortage)
@@ -66,7 +68,8 @@ def economic_lot(case: InventoryCase) -> float:
 
 def usual_cost(case: InventoryCase) -> float:
     """An estimate of the cost of a period: the costs of economic lots and of a newsvendor's safety
-    stock, added in quadrature, plus purchases. For three (s, S) optima its error is 2 to 11 %."""
+    stock, added in quadrature, plus purchases. In three cases its error is 2 to 11 % of the cost of
+    the optimal (s, S) rule."""
     item, periods = case.item, case.item.lead_time + 1
     holding, shortage = item.cost("holding"), item.cost("shortage")
     lots = economic_lot(case) * holding * shortage / (holding + shortage)
@@ -77,8 +80,8 @@ def usual_cost(case: InventoryCase) -> float:
 
 def memory(case: InventoryCase) -> float:
     """The number of periods after which an order has no effect: 20 times the sum of its lead time
-    and the periods of a lot. In one case the derivative with respect to the threshold of ordering,
-    -0.06 per deviation at a cost of 12.9, has an error of 0.02 with the factor 20, and 0.04 with
-    10.
+    and the periods of a lot. In one case with a cost of 12.9, the derivative with respect to the
+    threshold of ordering is -0.06 per standard deviation; its error is 0.02 with the factor 20 and
+    0.04 with the factor 10.
     """
     return 20 * (case.item.lead_time + 1 + economic_lot(case) / mean_demand(case))

@@ -16,13 +16,13 @@ from ..demand.base import Demand, as_input
 class Item:
     """One item in one place.
 
-    - `lost`: whether demand without stock is lost; otherwise it waits.
+    - `lost`: whether demand that exceeds the stock is lost; otherwise it waits.
     - `lead_time`: periods from an order to its arrival.
-    - `integer`: whether orders are whole numbers; `maximum`: the maximum of one order, infinite if
-      not limited.
-    - `holding`, `shortage`, `purchase`, `ordering`: costs of a unit held, a unit short, a unit
+    - `integer`: whether orders are whole numbers; `maximum`: the largest order, infinite if orders
+      are not limited.
+    - `holding`, `shortage`, `purchase`, `ordering`: the costs of a unit held, a unit short, a unit
       ordered, and an order.
-    - `stock`, `coming`: stock and arrivals at the start; None for the default start.
+    - `stock`, `coming`: the stock at the start and the first arrivals; None for the default.
     """
 
     lost: bool
@@ -42,13 +42,14 @@ class Item:
         return bool(self.ordering.values[0] > 0)
 
     def inputs(self) -> tuple[CaseInput, ...]:
-        """Its numbers as inputs; the cost of an order only if there is one."""
+        """The numbers of the item as inputs; the cost of an order is included only if it is above
+        0."""
         costs = (self.holding, self.shortage, self.purchase)
         starts = [item for item in (self.stock, self.coming) if item is not None]
         return (*costs, *([self.ordering] if self.fixed else []), *starts)
 
     def cost(self, name: str) -> float:
-        """One of its costs as a number."""
+        """One of the item's costs as a number."""
         return float(getattr(self, name).values[0])
 
 
@@ -84,17 +85,17 @@ class InventoryCase:
 
     @property
     def horizon(self) -> int:
-        """All periods."""
+        """The number of all periods, including the warm-up."""
         return self.warm_up + self.periods
 
     @property
     def counted(self) -> np.ndarray:
-        """[T] the weight of each period in the averages; they add up to 1."""
+        """[T] the weight of each period in the averages; the weights add up to 1."""
         return (np.arange(self.horizon) >= self.warm_up) / self.periods
 
     @property
     def weights(self) -> np.ndarray:
-        """[T] the weight of each period's cost: those of an average, or discount factors."""
+        """[T] the weight of each period's cost: the weight in an average, or a discount factor."""
         if self.discount == 1:
             return self.counted
         age = np.arange(self.horizon) - self.warm_up
@@ -102,7 +103,7 @@ class InventoryCase:
 
     @property
     def value_unit(self) -> str:
-        """The unit of the result: money in a period, or of the whole horizon."""
+        """The unit of the result: money per period, or money over the whole horizon."""
         return f"{self.currency}/{self.period}" if self.discount == 1 else self.currency
 
     @property

@@ -1,22 +1,23 @@
-"""One item in one place: orders arrive after a lead time, demand is met from stock, lost or waits.
+"""One item in one place: orders arrive after a lead time; demand is met from stock, is lost, or
+waits.
 
 A period t, with a lead time of L periods:
 
-1. An order q(t) is placed, based on the stock x(t) and the L - 1 orders that are on their way
-   (q(t - L + 1) … q(t - 1); that of L periods ago has just arrived and is part of x(t)).
+1. An order q(t) is placed, based on the stock x(t) and the L - 1 orders that are on their way (q(t
+- L + 1) … q(t - 1); the order of L periods ago has just arrived and is part of x(t)).
 2. Demand d(t) is met from stock: left = max(x - d, 0), short = max(d - x, 0).
 3. The period costs holding left + shortage short + purchase q + (order cost if q > 0).
 4. The order of L - 1 periods ago arrives: x(t + 1) = left + q(t - L + 1); where unmet demand
    waits, x(t + 1) = x - d + q(t - L + 1).
 
-With L = 0 the order of this period is on hand before its demand. Timing and names are those of
-Zipkin, Old and new methods for lost-sales inventory systems, Operations Research 56 (2008).
+With L = 0 the order of this period is on hand before its demand. Timing and notation follow Zipkin,
+Old and new methods for lost-sales inventory systems, Operations Research 56 (2008).
 
 If an order has a fixed cost, training draws at random whether an order is placed, with the
 probability given by the policy, and multiplies costs by the likelihood ratio of the draw
-(`Choice.draw`). Placing a fraction of an order would be another problem: its best rule has a
+(`Choice.draw`). An order that is placed in part would be a different problem: its best rule has a
 threshold that is as sharp as possible, and derivatives through a sharp threshold explode. (Rules
-trained that way cost 1 to 18 % more than the best one, and the initial rule was kept.)
+trained in that way cost 1 to 18 % more than the best rule, so the initial rule was used.)
 """
 
 from dataclasses import replace
@@ -54,7 +55,8 @@ class InventorySimulator(Simulator):
 
     State: "stock" (below zero: demand that waits), "coming" [L - 1], the next arrival first,
     "missed" (1 if demand was unmet since the last arrival; exact simulation only), and with a fixed
-    cost the "likelihood" ratio of the draws of training: 1, with a derivative.
+    cost the "likelihood" ratio of the draws of training, whose value is 1 but whose derivative is
+    not 0.
 
     Outputs: "result", minus all costs, and its parts "holding", "shortage", "purchase",
     "ordering"; and averages over the periods that count: "demand", "sold" (met from stock at
@@ -101,7 +103,8 @@ class InventorySimulator(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Demand, and the draw that decides whether an order is placed in training."""
+        """The normals of a period: for demand and, with a fixed cost, for the draw that decides in
+        training whether an order is placed."""
         return 2 if self.fixed else 1
 
     def prepare(self, inputs: Any) -> Schedule:
@@ -138,7 +141,7 @@ class InventorySimulator(Simulator):
         return replace(self, horizon=None)
 
     def _stock(self, inputs, level, mean):
-        """Given, or the level minus the orders on their way."""
+        """The initial stock of the case, or the level minus the orders on their way."""
         if "start_stock" in inputs:
             return jnp.asarray(inputs["start_stock"])[0]
         usual = jnp.maximum(level - jnp.sum(mean[1:]), 0.0)
@@ -158,7 +161,7 @@ class InventorySimulator(Simulator):
 
     def observe(self, constants, now, state):
         """[gap to the base-stock level, usual deviation, stock, coming …, season …]; all but the
-        second in units of the second, the standard deviation of demand."""
+        second are divided by the second, which is the standard deviation of demand."""
         unit = constants["usual"]
         stock, coming = state["stock"], state.get("coming", jnp.zeros(0))
         gap = (now["level"] - stock - jnp.sum(coming)) / unit
@@ -203,7 +206,8 @@ class InventorySimulator(Simulator):
         return moved | ({"likelihood": likelihood} if self.fixed else {}), outputs
 
     def _drawn(self, constants, state, action, noise, smooth):
-        """(action, likelihood): in training with whether to order drawn, if that has a cost."""
+        """(action, likelihood). If an order has a cost, training draws at random whether to
+        order."""
         if not self.fixed:
             return action, 1.0
         if isinstance(smooth, Exact):
@@ -217,7 +221,7 @@ class InventorySimulator(Simulator):
         return jnp.concatenate([drawn, parts["size"]]), likelihood
 
     def in_mean(self):
-        """Parameters of whole demand, and its season."""
+        """The parameters of demand in whole units, and its season."""
         if not self.demand.integral():
             return ()
         return (*self.demand.names(), *(["season"] if self.seasonal else []))
@@ -243,16 +247,16 @@ def _order(action_set: Actions, action, fixed: bool, smooth):
 
 
 def _weighted(outputs, likelihood, usual):
-    """The outputs times the likelihood ratio of the draws before them; the result only in its
-    deviation from minus the `usual` cost, since a smaller factor adds less noise."""
+    """The outputs times the likelihood ratio of the draws before them; of the result, only the
+    deviation from minus the `usual` cost is multiplied, since a smaller factor adds less noise."""
     innovation = outputs["result"] + usual
     weighted = {name: likelihood * output for name, output in outputs.items()}
     return weighted | {"result": outputs["result"] + (likelihood - 1) * innovation}
 
 
 def _cycle(state, order, unmet, lead_time: int, smooth):
-    """(whether the current cycle has missed demand, (cycles that end, those without unmet
-    demand)): of the value only; training has no use for them."""
+    """(whether the current cycle has missed demand, (cycles that end, those without unmet demand)).
+    Only the exact value needs them, not training."""
     nothing = jnp.zeros_like(unmet)
     if not isinstance(smooth, Exact):
         return state["missed"], (nothing, nothing)

@@ -1,4 +1,4 @@
-"""Rules of thumb of a network: initial values of rules, and the expected cost of a period, by
+"""Rules of thumb for a network: initial values of rules, and the expected cost of a period at every
 place."""
 
 import numpy as np
@@ -10,10 +10,10 @@ from .records import NetworkCase
 
 
 def safety_factors(case: NetworkCase) -> np.ndarray:
-    """[n] how many standard deviations the first echelon levels are above the mean: the mean of
-    two newsvendors' numbers. Shang and Song, Management Science 49 (2003): with echelon holding
-    costs h, and u their sum upstream of a place, these are z of (p + u) / (p + all h) and of (p +
-    u) / (p + h + u).
+    """[n] the initial echelon levels minus the mean demand, in standard deviations: the average of
+    two newsvendor quantiles. Shang and Song, Management Science 49 (2003): with echelon holding
+    costs h, and with u the sum of h upstream of a place, these are the standard normal quantiles of
+    (p + u) / (p + all h) and of (p + u) / (p + h + u).
     """
     averages = []
     for i in range(len(case.network.sites)):
@@ -26,7 +26,8 @@ def safety_factors(case: NetworkCase) -> np.ndarray:
 
 
 def _costs_below(case: NetworkCase, i: int) -> tuple[float, float]:
-    """Mean shortage and local holding cost of the customers' places that one place reaches."""
+    """Mean shortage cost and mean local holding cost of the places with customers that a place
+    supplies."""
     reached = [k for k, j in enumerate(case.network.sellers) if case.network.serves[i, j]]
     holding = [case.holding.values[case.network.sellers[k]] for k in reached]
     return float(np.mean(case.shortage.values[reached])), float(np.mean(holding))
@@ -39,8 +40,8 @@ def _above(case: NetworkCase, i: int) -> float:
 
 
 def served(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
-    """[n] mean and standard deviation of the demand of a period that a place serves, over the
-    season."""
+    """[n] mean and standard deviation, over the season, of the demand in a period that a place
+    serves."""
     reach = case.network.serves[:, case.network.sellers]
     means, spreads = [], []
     for demand, season in zip(case.demands, case.seasons):
@@ -54,9 +55,9 @@ def served(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
 def economic_lots(case: NetworkCase) -> np.ndarray:
     """[n] sqrt(2 K mean (p + h) / (e p)), 0 if an order has no fixed cost.
 
-    h is the local holding cost of the places with customers, e that of the place's echelon: the
-    additional cost of holding a unit there instead of at its supplier. A single place has the
-    economic lot of an item.
+    Here h is the local holding cost of the places with customers. The echelon holding cost e is the
+    additional cost of holding a unit at the place instead of at its supplier. A single place has
+    the economic lot of an item.
     """
     lots, (mean, _) = np.zeros(len(case.network.sites)), served(case)
     for i, cost in zip(case.network.fixed, _ordering(case)):
@@ -75,10 +76,11 @@ def _echelon_cost(case: NetworkCase, i: int) -> float:
 
 
 def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
-    """How far S is above the first level, [n], and s below it, [m], in standard deviations.
-    Without a fixed cost S is 0 and there is no s. With a lot Q, stock runs short in the share e Q
-    / ((p + u) mean + e Q) of its cycles, where u is the holding cost of the supplier. On average
-    an order is placed half a period's demand too late.
+    """The distance of S above the first level, [n], and of s below it, [m], in standard deviations.
+    Without a fixed cost the distance of S is 0 and there is no s. With a lot Q, stock runs short in
+    the share e Q / ((p + u) mean + e Q) of its cycles, where u is the holding cost of the supplier.
+    When an order is placed, the position is on average half a period's demand below the reorder
+    point.
     """
     (mean, unit), lots = served(case), economic_lots(case)
     batch, wait = np.zeros(len(case.network.sites)), np.zeros(len(case.network.fixed))
@@ -95,9 +97,9 @@ def first_batches(case: NetworkCase) -> tuple[np.ndarray, np.ndarray]:
 
 def usual_costs(case: NetworkCase) -> np.ndarray:
     """[n] estimates of the costs of a period at each place; the deviations from them cause the
-    noise of training. A place with customers has the costs of an item: those of economic lots and
-    of a newsvendor's safety stock, added in quadrature. Any other place has the costs of its
-    orders, and of the stock and the goods on their way at its initial levels.
+    noise of training. A place with customers has the costs of an item: the costs of economic lots
+    and of a newsvendor's safety stock, added in quadrature. Any other place has the costs of its
+    orders, and of its stock and the goods on their way at its initial levels.
     """
     (mean, unit), lots = served(case), economic_lots(case)
     batch, wait = first_batches(case)
@@ -117,7 +119,7 @@ def usual_costs(case: NetworkCase) -> np.ndarray:
 
 
 def _usual_levels(case: NetworkCase) -> np.ndarray:
-    """[n] first levels of the echelons over the season."""
+    """[n] the means of the first echelon levels over the season."""
     mean, unit = served(case)
     return case.network.cover * mean + safety_factors(case) * unit * np.sqrt(case.network.cover)
 

@@ -1,9 +1,9 @@
-"""Orders with a fixed cost: whether each place orders, and its likelihood ratio in training.
+"""Orders with a fixed cost: whether a place orders, and its likelihood ratio in training.
 
 As for one item (see `item.simulator`), training draws at random whether a place orders, with the
 probability given by the policy, and multiplies costs by the likelihood ratio of the draws. Every
-place has its own ratio; a cost is multiplied by those of the places linked to its place, since the
-others have no effect on it and would only add noise.
+place has a ratio. A cost of a place is multiplied by the ratios of only the linked places, since
+the other ratios have no effect on the mean of the cost and would only add noise.
 """
 
 from collections.abc import Mapping
@@ -31,8 +31,8 @@ class Placed(NamedTuple):
     """The places that order.
 
     - `orders` [n]: 1 if a place orders, or may do so without a fixed cost.
-    - `likelihood` [m]: likelihood ratios of the draws of `network.fixed`, which are 1 but have a
-      derivative.
+    - `likelihood` [m]: likelihood ratios of the draws for `network.fixed`, whose value is 1 but
+      whose derivative is not 0.
     """
 
     orders: jax.Array
@@ -51,10 +51,10 @@ def placed(
     """Whether each site orders: decided by the policy, and in training drawn with the policy's
     probabilities.
 
-    - `parts`: the parts of the action; `likelihood` [m]: the likelihood of the periods before;
+    - `parts`: the parts of the action; `likelihood` [m]: the likelihood ratios of earlier periods;
       `normals` [m]: the noise of the draws.
-    - `remembered` [m]: the share of this likelihood that is used, since earlier draws only add
-      noise to this period.
+    - `remembered` [m]: the share of `likelihood` that is used, since early draws only add noise to
+      this period.
     """
     orders, ratios = jnp.ones(len(network.sites), likelihood.dtype), []
     for k, i in enumerate(network.fixed):
@@ -69,9 +69,10 @@ def placed(
 
 
 class LikelihoodWeights:
-    """The likelihood ratios, of value 1, by which outputs are multiplied for their derivatives.
+    """The likelihood ratios by which outputs are multiplied; their value is 1, but they change the
+    derivatives.
 
-    - `likelihood` [m]: the likelihood of this period; None if no order has a fixed cost.
+    - `likelihood` [m]: the likelihood ratios of this period; None if no order has a fixed cost.
     - `usual_costs` [n]: the usual costs of a period at each place.
     """
 
@@ -84,14 +85,14 @@ class LikelihoodWeights:
             self.usual = usual_costs
 
     def of(self, amounts):
-        """[n] amounts by place."""
+        """[n] amounts of the places, times the ratios of the places linked to each of them."""
         return self.place_weights * amounts if self.drawn else amounts
 
     def of_all(self, amount):
-        """One amount of the whole network."""
+        """One amount of the whole network, times the ratios of all places."""
         return self.all * amount if self.drawn else amount
 
     def innovation(self, costs):
-        """0, with the derivative of the sum of `of(costs) - costs` [n]; only deviations of costs
-        from their average count, since a smaller factor adds less noise."""
+        """0, with the derivative of the sum of `of(costs) - costs` [n]; costs count only in their
+        deviation from the usual costs, since a smaller factor adds less noise."""
         return jnp.sum((self.place_weights - 1) * (costs - self.usual)) if self.drawn else 0.0

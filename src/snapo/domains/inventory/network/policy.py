@@ -18,17 +18,17 @@ KEPT = -0.5  # deviations: a store initially holds back only a small amount
 
 
 class EchelonRule(Policy):
-    """order = unit softplus(gap + first + network(seen)), separately for each of the n places.
+    """order = unit softplus(gap + first + network(seen)), for each of the n places.
 
     `gap` is the level of a place's echelon minus its position. The position is all goods at the
     place, on their way to it and further downstream, minus demand that waits. An echelon base-stock
     rule is optimal for places in a line (Clark and Scarf, 1960). An order with a fixed cost is
-    placed where gap > wait + network(seen): an (s, S) rule of the echelon. The amounts that stores
-    of a pool hold back, or their bands, are unit softplus(kept + network(seen)), and the shift of
-    their balance is unit network(seen).
+    placed if gap > wait + network(seen), which is an (s, S) rule of the echelon. The amounts that
+    stores of a pool hold back, or the widths of their bands, are unit softplus(kept +
+    network(seen)). The shift of their balance is unit network(seen).
 
-    - `batch` [n], `wait` [m]: initial values in standard deviations, by which S is above the first
-      level of the echelon, and s below it for each of the m places with a fixed cost.
+    - `batch` [n], `wait` [m]: initial distances in standard deviations: of S above the first level
+      of the echelon, and of s below it for each of the m places with a fixed cost.
     - `plain`: whether it is a classical rule, without a network and without empty orders.
     - `movers`: the places that hold back an amount or have a band, in the order of the action; the
       last `shifts` of them have a shift; `fixed`: the m places with a fixed cost.
@@ -86,8 +86,8 @@ class EchelonRule(Policy):
         return self.action.settle(jnp.concatenate(parts), smooth)
 
     def _something(self, above, amounts, smooth):
-        """`above`, made negative where an order with a fixed cost would have no volume, so that
-        none is placed."""
+        """`above`, or a negative number if an order with a fixed cost would have no volume, so that
+        no order is placed."""
         if not self.fixed or not isinstance(smooth, Exact):
             return above
         assert isinstance(self.action, Product)
@@ -95,6 +95,6 @@ class EchelonRule(Policy):
         return jnp.where(amounts[np.array(self.fixed, int)] > minimum, above, -1.0)
 
     def _choices(self, scores, smooth) -> list[Array]:
-        """[2] whether to order, of each of `fixed`, by its score."""
+        """For each of `fixed`, the choice [2] whether to order, from its score."""
         pairs = jnp.stack([jnp.zeros_like(scores), scores], 1)
         return [Choice(2).squash(pairs[k], smooth) for k in range(len(self.fixed))]

@@ -17,8 +17,8 @@ from ..demand.base import Demand, as_input
 class Site:
     """One place.
 
-    - `supplier`: the number of the place from which it orders; None for the outside, which always
-      delivers.
+    - `supplier`: the number of the place from which it orders; None for an outside supplier, which
+      always delivers.
     - `lead_time`: periods from an order to its arrival, before the demand of that period.
     - `sells`: whether it has customers; `seasonal`: whether their demand has a season.
     - `fixed`: whether an order has a fixed cost.
@@ -34,7 +34,8 @@ class Site:
 
 @dataclass(frozen=True)
 class Pool:
-    """Places with customers that exchange goods without a lead time: lateral transshipment.
+    """Places with customers that send goods to one another without a lead time (lateral
+    transshipment).
 
     - `sites`: the numbers of the places; `one_way`: whether only the first of two places sends
       goods to the second.
@@ -87,13 +88,14 @@ class SupplyNetwork:
         return any(site.seasonal for site in self.sites)
 
     def moving(self, before: bool) -> tuple[int, ...]:
-        """The numbers of the places that are in a pool before, or after demand is known."""
+        """The numbers of the places in pools that act before (or after) demand is known."""
         return tuple(sorted({i for pool in self.pools if pool.before == before
                              for i in pool.sites}))  # fmt: skip
 
     @cached_property
     def serves(self) -> np.ndarray:
-        """[n, n]: 1 if the place of the column is the place of the row, or supplied through it."""
+        """[n, n]: 1 if the place of the column is the place of the row or is supplied through it,
+        else 0."""
         serves = np.eye(len(self.sites))
         for i in range(len(self.sites)):
             for item in self._way(i):
@@ -102,7 +104,7 @@ class SupplyNetwork:
 
     @cached_property
     def supplies(self) -> np.ndarray:
-        """[n, n]: 1 if the place of the row is the supplier of that of the column."""
+        """[n, n]: 1 if the place of the row is the supplier of the place of the column, else 0."""
         supplies = np.zeros((len(self.sites),) * 2)
         for i, site in enumerate(self.sites):
             if site.supplier is not None:
@@ -111,19 +113,21 @@ class SupplyNetwork:
 
     @cached_property
     def linked(self) -> np.ndarray:
-        """[n, n]: 1 if decisions of one place may have an effect on the other."""
+        """[n, n]: 1 if decisions of one place may have an effect on the other place, else 0."""
         supplies = self.supplies + self.supplies.T + np.eye(len(self.sites))
         for pool in self.pools:
             supplies[np.ix_(pool.sites, pool.sites)] = 1.0
         return (np.linalg.matrix_power(supplies, len(self.sites)) > 0).astype(float)
 
     def lead_time_from_outside(self, i: int) -> int:
-        """Periods that goods need from outside to the customers of a place, its own included."""
+        """The number of periods, including the period of the sale, that goods need from outside to
+        the customers of a place."""
         return sum(self.sites[j].lead_time + 1 for j in (i, *self._way(i)))
 
     @cached_property
     def cover(self) -> np.ndarray:
-        """[n] periods of demand from an order to the last customer that it can reach in time."""
+        """[n] the number of periods of demand from an order of a place until its goods can have
+        reached the farthest customers."""
         local = np.array([site.lead_time + 1 for site in self.sites])
         ways = [self.lead_time_from_outside(i) for i in range(len(self.sites))]
         reach = [max(ways[i] for i in self.sellers if row[i]) for row in self.serves]
@@ -131,7 +135,7 @@ class SupplyNetwork:
         return np.array(reach) - np.array(above)
 
     def _way(self, i: int) -> list[int]:
-        """The suppliers of a place, the nearest first."""
+        """The suppliers of a place, with the nearest first."""
         results, here = [], self.sites[i].supplier
         while here is not None:
             results.append(here)
@@ -180,12 +184,12 @@ class NetworkCase:
 
     @property
     def horizon(self) -> int:
-        """All periods."""
+        """The number of all periods, including the warm-up."""
         return self.warm_up + self.periods
 
     @property
     def weights(self) -> np.ndarray:
-        """[T] the weight of each period's cost: of an average, or discount factors."""
+        """[T] the weight of each period's cost: the weight in an average, or a discount factor."""
         age = np.arange(self.horizon) - self.warm_up
         if self.discount == 1:
             return (age >= 0) / self.periods
@@ -193,7 +197,7 @@ class NetworkCase:
 
     @property
     def counted(self) -> np.ndarray:
-        """[T] the weight of each period in the averages; they add up to 1."""
+        """[T] the weight of each period in the averages; the weights add up to 1."""
         return (np.arange(self.horizon) >= self.warm_up) / self.periods
 
     @property
@@ -217,7 +221,8 @@ class NetworkCase:
         return {name: x.positions for name, x in self.of_demand.items()}
 
     def inputs(self) -> dict[str, Input]:
-        """Every number that has a sensitivity; those of a place's demand as "NAME.key"."""
+        """Every number that has a sensitivity; the names of a place's demand parameters are
+        "NAME.key"."""
         costs = [self.holding, self.shortage, self.ordering, self.transshipment]
         by_name = {cost.name: cost for cost in costs if cost is not None} | self.of_demand
         return {name: as_input(x) for name, x in by_name.items()}

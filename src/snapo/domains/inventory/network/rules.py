@@ -21,10 +21,11 @@ BAND = 0.5  # deviations: where the search for one begins
 
 
 class RuleNumbers(NamedTuple):
-    """The numbers of a classical rule, in deviations of the demand that a place serves.
+    """The numbers of a classical rule, in standard deviations of the demand that a place serves.
 
     - `above` [n]: the levels of the rule minus those of the simulator.
-    - `reserve`: the bands of stores; stores hold back nothing after demand, unless it is `ENDLESS`.
+    - `reserve`: the band of all stores before demand. Stores hold nothing back after demand, unless
+      `reserve` is `ENDLESS`.
     - `wait` [m]: the levels of the simulator minus the reorder points, for each place with a fixed
       cost; None if a place orders whenever it is below its level.
     """
@@ -35,16 +36,17 @@ class RuleNumbers(NamedTuple):
 
 
 def network_rules(setup: Setup) -> Iterator[tuple[str, EchelonRule, dict[str, float]]]:
-    """Triples (name, rule, its numbers in a planner's terms). The rules are echelon base stock at
-    its first levels, and at the best levels of a search on other paths; if orders have a cost, (s,
-    S) of the echelons; if stores may exchange goods, the best numbers without exchange."""
+    """Triples (name, rule, its numbers as a planner writes them). The rules are echelon base stock
+    at its first levels, and echelon base stock at the best levels of a search on other paths. If
+    orders have a cost, there is also an echelon (s, S) rule. If stores may exchange goods, there is
+    also the best rule without exchange."""
     for name, numbers in classical(setup).items():
         yield name, echelon_rule(setup, *numbers), _for_planner(setup, numbers)
 
 
 def classical(setup: Setup) -> dict[str, RuleNumbers]:
-    """{name: numbers of the rule}. After demand stores hold nothing back; bands before it are one
-    more number of the search."""
+    """{name: numbers of the rule}. After demand, stores hold nothing back; before demand, the band
+    is one more number of the search."""
     case = network_of(setup)
     first = RuleNumbers(
         (0.0,) * len(case.network.sites), BAND if case.network.moving(True) else 0.0
@@ -82,8 +84,8 @@ def echelon_rule(
 
 
 def best(setup: Setup, start: RuleNumbers) -> RuleNumbers:
-    """The best numbers, starting from these: levels, reorder points if it has some, and the band if
-    it has one."""
+    """The best numbers in a search that starts from `first`: levels and, if the rule has them,
+    reorder points and the band."""
     case, cost_of = network_of(setup), cost_on_other_paths(setup)
     waits, banded = start.wait or (), bool(case.network.moving(True)) and start.reserve != ENDLESS
     n = len(start.above)
@@ -113,7 +115,7 @@ def first_levels(setup: Setup) -> np.ndarray:
 
 
 def _for_planner(setup: Setup, numbers: RuleNumbers) -> dict[str, float]:
-    """Levels and reorder points, and the band in deviations."""
+    """Levels and reorder points in units, and the band in standard deviations."""
     case, level = network_of(setup), first_levels(setup)
     unit = np.asarray(setup.problem.schedule.constants["unit"])
     levels = level + np.array(numbers.above) * unit

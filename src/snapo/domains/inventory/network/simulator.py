@@ -5,15 +5,15 @@ A period:
 1. Every place orders, based on all stocks and goods on their way. A supplier with less than the sum
    of the orders shares its stock in proportion, and sends nothing later: places order the rest
    again.
-2. Goods arrive: with a lead time of 0 those just sent, else those sent that many periods ago.
+2. Goods arrive: those sent one lead time ago or, with a lead time of 0, those just sent.
 3. Stores of a pool that acts before demand balance their stocks.
 4. Demand is met from stock; in a pool that acts after it, remaining stock is sent to places that
    ran out. Demand that is still unmet is lost, or waits (stock is then below zero).
-5. Holding is paid on stock and on goods on their way from a place, shortage on unmet demand; a
-   fixed cost is paid per order placed, even if less is sent, or nothing.
+5. Holding costs are paid for stock and for goods on their way from a place, shortage costs for
+   unmet demand, and a fixed cost for every order, even if less is sent, or nothing.
 
 A place has to cover `lead_time + 1` periods of demand before its next order can arrive, and a place
-that it supplies covers them too: the line of Clark and Scarf (1960), lead times longer by one.
+that it supplies covers them too. A line is the model of Clark and Scarf (1960) with lead times + 1.
 """
 
 from dataclasses import replace
@@ -45,7 +45,7 @@ Amounts = dict[str, tuple[Any, tuple[int, ...]]]  # [n] by place, and the places
 
 
 class Levels(NamedTuple):
-    """Levels of T periods and n places, all in units of demand.
+    """The levels of n places in T periods, in units of demand.
 
     - `ahead` [T, n, R]: mean demand that a place serves in a period, and in the R - 1 periods after
       it; R covers the longest way from outside to a customer.
@@ -72,17 +72,17 @@ class NetworkSimulator(Simulator):
     `memory` [m].
 
     State: "stock" [n]; if a lead time is above zero, "coming" [n, longest lead time], the next
-    arrival first; with fixed costs "likelihood" [m], ratios for the draws of training that are 1
-    but have a derivative. Action [n]: the amount that each place orders; with pools of stores
-    further parts, [m] each: "held", the amount that a store holds back after demand; "band", by
-    how much its stock may differ from balance before demand; and "shift", the shift of its
-    balance. "order_NAME" is whether a place with a fixed cost orders.
+    arrival first; with fixed costs "likelihood" [m], the ratios for the draws of training, whose
+    value is 1 but whose derivative is not 0. Action [n]: the amount that each place orders; with
+    pools of stores it has further parts of shape [m]: "held", the amount that a store holds back
+    after demand; "band", the deviation from balance that is allowed before demand; and "shift", the
+    shift of the balance. "order_NAME" is whether a place with a fixed cost orders.
 
-    Outputs: "result", minus all costs; "holding", "shortage"; averages over the periods that
-    count: "demand", "sold" (met at once), "stock" and "short" (1 if any place has a shortage); and
-    for each place "stock_NAME", "sold_NAME", "demand_NAME", and its order-up-to level "level_NAME".
-    With pools also the cost "transshipment", and on average "moved", "sent_NAME", "received_NAME".
-    If an order has a cost, also the cost "ordering", and on average "orders", "orders_NAME" and
+    Outputs: "result", minus all costs; "holding", "shortage"; averages over the periods that count:
+    "demand", "sold" (met at once), "stock" and "short" (1 if any place has a shortage); and for
+    each place "stock_NAME", "sold_NAME", "demand_NAME", and its order-up-to level "level_NAME".
+    Pools add the cost "transshipment", and the averages "moved", "sent_NAME", "received_NAME". If
+    an order has a cost, this adds the cost "ordering", and the averages "orders", "orders_NAME" and
     "ordered_NAME", the amount ordered; "level_NAME" is then 0 in a period without an order.
     """
 
@@ -119,7 +119,7 @@ class NetworkSimulator(Simulator):
 
     @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """Demands, and the draws that decide in training whether a place orders."""
+        """Normals for demands, and for the draws that decide in training whether a place orders."""
         return len(self.network.sellers) + len(self.network.fixed)
 
     @property
@@ -137,8 +137,8 @@ class NetworkSimulator(Simulator):
         return Product(**sets) if len(sets) > 1 else sets["order"]
 
     def prepare(self, inputs: Any) -> Schedule:
-        """Numbers that differ by period are in the steps if there is a season, else once in the
-        constants; `step` reads both."""
+        """Numbers that may differ between periods are in the steps if there is a season, and
+        otherwise in the constants; `step` reads both."""
         network = self.network
         periods = self.horizon if network.seasonal else 1
         result = self.levels(inputs, periods)
@@ -174,7 +174,7 @@ class NetworkSimulator(Simulator):
         return Schedule(constants, steps | item)
 
     def levels(self, inputs: Any, periods: int) -> Levels:
-        """Levels of the first `periods`; without a season, all are equal."""
+        """The levels of the first `periods` periods, which are all equal without a season."""
         network = self.network
         reach = jnp.asarray(network.serves[:, network.sellers])
         longest = int(max(network.lead_time_from_outside(i) for i in network.sellers))
@@ -208,7 +208,7 @@ class NetworkSimulator(Simulator):
     def start(self) -> tuple[jax.Array, jax.Array]:
         """Stock [n] and arrivals [n, longest lead time] at the start.
 
-        A place starts with its echelon's level minus those of the places that it supplies.
+        A place starts with its echelon's level minus the levels of the places that it supplies.
         """
         network, result = self.network, self.levels(self.first, 1)
         level, lead_time = result.level[0], np.array([site.lead_time for site in network.sites])
@@ -227,8 +227,8 @@ class NetworkSimulator(Simulator):
         return state
 
     def observe(self, constants, now, state):
-        """[gap of each echelon to its level, unit of each place, stock …, coming …, season …], all
-        but the units divided by the unit, the standard deviation of the demand of a place."""
+        """[gap of each echelon to its level, unit of each place, stock …, coming …, season …]; all
+        but the units are divided by the unit, the standard deviation of the demand of a place."""
         network, here = self.network, {**constants, **now}
         unit, stock, ahead = here["unit"], state["stock"], here["ahead"]
         coming = state.get("coming", jnp.zeros((len(network.sites), 0)))
@@ -244,7 +244,7 @@ class NetworkSimulator(Simulator):
         return jnp.concatenate(observed)
 
     def _echelon(self, state):
-        """[n] goods at a place, on their way there and further down, minus demand that waits."""
+        """[n] goods at a place, on the way to it and further downstream, minus waiting demand."""
         stock = state["stock"]
         local = stock + state["coming"].sum(1) if self.network.longest else stock
         return jnp.asarray(self.network.serves, stock.dtype) @ local
@@ -292,7 +292,7 @@ class NetworkSimulator(Simulator):
         return after, outputs
 
     def _placed(self, here, parts, state, noise, smooth):
-        """(which places order, None if no order has a cost; amounts asked for [n])."""
+        """(the places that order, None if no order has a cost; the amounts ordered [n])."""
         if not self.network.fixed:
             return None, parts["order"]
         assert isinstance(self.action, Product)
@@ -312,7 +312,7 @@ class NetworkSimulator(Simulator):
         return request
 
     def _costs(self, here, after, left, short, moves, drawn, weights):
-        """Costs by part, and the result."""
+        """The parts of the cost, and the result."""
         coming = after["coming"].sum(1) if self.network.longest else jnp.zeros_like(left)
         away = jnp.asarray(self.network.supplies, left.dtype) @ coming
         by_place = {
@@ -332,7 +332,7 @@ class NetworkSimulator(Simulator):
         return outputs | {"result": -here["weight"] * result}
 
     def _means(self, here, amounts: Amounts, short, moves, weights, smooth):
-        """Averages of a period, of the network and by place."""
+        """Averages per period, of the whole network and of every place."""
         network, means = self.network, {}
         if moves:
             members = tuple(sorted({*network.moving(False), *network.moving(True)}))
@@ -375,7 +375,7 @@ class NetworkSimulator(Simulator):
         return {"coming": full[:, 1:]}, full[:, 0]
 
     def in_mean(self):
-        """Parameters of whole demand, and its season."""
+        """The parameters of demand in whole units, and its season."""
         sites = [self.network.sites[i] for i in self.network.sellers]
         return tuple(
             f"{site.name}.{name}"
@@ -395,6 +395,6 @@ class NetworkSimulator(Simulator):
 
 
 def _season(local: dict[str, Any], periods: int) -> jax.Array:
-    """[T] factors of a place's demand, of its inputs."""
+    """[T] the season's factors of a place's demand, from the inputs."""
     factors = jnp.asarray(local.get("season", jnp.ones(1)))
     return factors[np.arange(periods) % len(factors)]

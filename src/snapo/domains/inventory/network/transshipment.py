@@ -1,17 +1,17 @@
 """Transfers between stores: before demand, to balance stocks, or after it, to meet shortages.
 
 In a pool every place offers its stock above one level and requests its shortage below another,
-which is not higher. The smaller of both sums is moved; each side shares it in proportion. Pools act
-in turn, the cheapest first. With two places, or one cost for all, this is the cheapest way to move
-this amount.
+which is not higher. The smaller of the two sums is moved; it is divided in proportion to offers,
+and in proportion to requests. Pools act one after the other, the cheapest first. With two places,
+or with one cost for all places, this is the cheapest way to move the amount.
 
 - **After demand** a place offers the remaining stock above the amount that it holds back, and
-  requests its unmet demand. Holding nothing back is complete pooling (Krishnan and Rao, 1965;
-  Tagaras, 1989).
+  requests its unmet demand. If places hold nothing back, this is complete pooling (Krishnan and
+  Rao, 1965; Tagaras, 1989).
 - **Before demand** the level is that of balance, at which all places of the pool are the same
   number of standard deviations above their mean demand; a place offers its stock above balance plus
-  a band, and requests its shortage below balance minus the band. Each place has a shift of its
-  balance.
+  a band, and requests its shortage below balance minus the band. The policy may shift the balance
+  of each place.
 """
 
 from collections.abc import Sequence
@@ -27,7 +27,7 @@ from .records import Pool, SupplyNetwork
 
 
 class Transferred(NamedTuple):
-    """Stocks [n] after goods moved; amounts sent and received [n]; the cost."""
+    """Stocks [n] after the transfers, amounts sent and received [n], and the cost."""
 
     stock: jax.Array
     sent: jax.Array
@@ -84,14 +84,15 @@ def _moved(network: SupplyNetwork, constants, stock, levels, before: bool, smoot
 
 
 def shared(network: SupplyNetwork, total, parts, smooth):
-    """[n] `total`, at most the sum of `parts` [n], shared in proportion to them."""
+    """[n] `total`, divided in proportion to `parts` [n]; it is at most their sum."""
     some = jnp.sum(parts) > 0
     result = parts * jnp.where(some, total, 0.0) / jnp.where(some, jnp.sum(parts), 1.0)
     return in_pieces(network, result, smooth)
 
 
 def in_pieces(network: SupplyNetwork, amounts, smooth):
-    """[n] amounts as whole numbers of the same sum, each less than 1 away; in training as is."""
+    """[n] amounts rounded to whole numbers of the same sum, each changed by less than 1; training
+    leaves them unchanged."""
     if not network.integer or not isinstance(smooth, Exact):
         return amounts
     upto = jnp.concatenate([jnp.zeros_like(amounts[:1]), jnp.cumsum(amounts)])

@@ -1,1 +1,1 @@
-"""Rules that order: the trained one, and the classical ones."""
+"""Rules for orders: the trained rule and the classical rules."""

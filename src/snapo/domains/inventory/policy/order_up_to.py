@@ -1,10 +1,10 @@
-"""The trained rule: order up to a level that depends on the stock and on every order on its way.
+"""The trained rule: order up to a level that depends on the stock and on every outstanding order.
 
     order = deviation softplus(gap + first + gain · seen + network(seen))
 
-gap being the base-stock level minus the inventory position; all in standard deviations of demand.
-It starts as the base-stock rule. With a fixed cost per order, a second number decides whether there
-is one: if gap > wait + network(seen), an (s, S) rule whose numbers depend on the state.
+where gap is the base-stock level minus the inventory position; all are in standard deviations of
+demand. It starts as the base-stock rule. With a fixed cost per order, an order is placed only if
+gap > wait + network(seen). This is an (s, S) rule whose numbers depend on the state.
 """
 
 import jax
@@ -21,9 +21,10 @@ TRIGGER = 2.0  # scores of "order" by deviation of the gap
 
 
 class OrderUpTo(Policy):
-    """The head described above, with its network.
+    """The rule above, with its network.
 
-    - `batch`, `wait`: initial values, in deviations: S above and s below the base-stock level.
+    - `batch`, `wait`: initial distances of S above and of s below the base-stock level, in standard
+      deviations.
     """
 
     network: Network
@@ -64,7 +65,8 @@ class OrderUpTo(Policy):
 
 
 def within(action: Actions, size, smooth):
-    """[1] an amount of at least 0, at most the maximum order, rounded if whole."""
+    """[1] the amount, limited to the range from 0 to the largest order, and rounded if orders are
+    whole."""
     maximum = float(action.bounds()[1][0])
     cut = smooth.minimum(size, maximum, scale=maximum) if maximum < float("inf") else size
     return action.settle(cut[None], smooth)

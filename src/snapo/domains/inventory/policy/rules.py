@@ -1,9 +1,10 @@
-"""The classical rules of an item: policies with one to three numbers, and the best of these.
+"""The classical rules of an item: policies with one to three numbers, and the best numbers of each
+policy.
 
-The myopic rule of lost sales is the order that makes the period of its arrival cheapest: Morton
-(1971); Zipkin, Operations Research 56 (2008), section 4. For whole demand, the probabilities of
-every stock in that period follow from the stock and the orders on their way; the order is the
-smallest q with P(demand <= stock + q) >= p / (p + h).
+The myopic rule for lost sales places the order that minimises the cost of the period in which it
+arrives: Morton (1971); Zipkin, Operations Research 56 (2008), section 4. For demand in whole units,
+the probabilities of every stock in that period follow from the stock and the orders on their way;
+the order is the smallest q with P(demand <= stock + q) >= p / (p + h).
 """
 
 from collections.abc import Iterator, Sequence
@@ -29,7 +30,8 @@ class Myopic(Policy):
 
     - `moves` [n, n]: probabilities of the remaining stock, for each stock.
     - `met` [n, m]: P(demand <= remaining stock + q).
-    - `ratio`: p / (p + h); `mean`: the mean of demand, to which observations are relative.
+    - `ratio`: p / (p + h); `mean`: the mean of demand, relative to which stocks and orders are
+      observed.
     """
 
     moves: Frozen
@@ -62,7 +64,7 @@ def myopic(
     lead_time: int,
     action: Actions,
 ) -> Myopic:
-    """The rule for demand with these probabilities of 0, 1, …"""
+    """The rule if demand is 0, 1, … with these probabilities."""
     n = 2 * len(probabilities)
     padded = np.zeros(n)
     padded[: len(probabilities)] = probabilities
@@ -93,8 +95,8 @@ RULES = {
 
 
 class Classical(Policy):
-    """The rule orders up to a level, at most a cap, and only if the position is at or below a
-    reorder point.
+    """The rule orders up to a level, at most a cap, and only if the position is below a reorder
+    point.
 
     Level and reorder point are relative to the simulator's level of the period, so that
     they move with a season.
@@ -102,9 +104,9 @@ class Classical(Policy):
     - `above`: the level S minus the simulator's level; `cap`: the maximum order; `reorder`: an
       order is placed if the inventory position is below s = level + reorder.
 
-    With an infinite cap and reorder point it is a base-stock rule; with a cap a capped base-stock
-    rule (Xin, 2021); with an infinite level and a cap a constant order; with a reorder point an
-    (s, S) rule.
+    With an infinite cap and reorder point it is a base-stock rule; with a cap it is a
+    capped base-stock rule (Xin, 2021), with an infinite level and a cap a constant order, and with
+    a reorder point an (s, S) rule.
     """
 
     above: Float[Array, ""]
@@ -126,7 +128,8 @@ class Classical(Policy):
 
 
 def item_rules(setup: Setup) -> Iterator[tuple[str, Classical, dict[str, float]]]:
-    """(name, rule, its numbers in a planner's terms), each with its best numbers."""
+    """(name, rule, its numbers as a planner writes them) for every classical rule with its best
+    numbers."""
     base_stock: dict[str, float] = {}
     for name in RULES:
         if name == "(s, S)" and not case_of(setup).item.fixed:
@@ -137,7 +140,8 @@ def item_rules(setup: Setup) -> Iterator[tuple[str, Classical, dict[str, float]]
 
 
 def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
-    """One of the rules with its parameters; parameters that it does not have never bind."""
+    """One of the rules with its parameters; parameters that a rule does not have are set so that
+    they have no effect."""
     endless = ENDLESS * max(1.0, mean_demand(case_of(setup)))
     values = {key: numbers.get(key, endless) for key in ("above", "cap", "reorder")}
     arrays = {key: jnp.asarray(value, jnp.float32) for key, value in values.items()}
@@ -145,7 +149,7 @@ def classical(setup: Setup, name: str, numbers: dict[str, float]) -> Classical:
 
 
 def best_numbers(setup: Setup, name: str, base_stock: dict[str, float]) -> dict[str, float]:
-    """The best numbers of a rule, from a search on other paths than those of the value.
+    """The best numbers of a rule, from a search on paths other than those of the value.
 
     - `base_stock`: the numbers of the base-stock rule, from which others may start.
     """
@@ -175,11 +179,8 @@ def _for_planner(setup: Setup, numbers: dict[str, float]) -> dict[str, float]:
 
 
 def myopic_of(setup: Setup) -> Policy | None:
-    """The myopic rule, if it has no simpler form; it is for lost sales, demand in whole units, and
-    no season.
-
-    If demand waits, this rule is the base stock at the newsvendor's level.
-    """
+    """The myopic rule. None if orders have a fixed cost, demand has a season, or lost demand is not
+    in whole units. If demand waits, it is the base-stock rule at the newsvendor's level."""
     case = case_of(setup)
     item, demand = case.item, case.demand
     if item.fixed or case.seasonal:

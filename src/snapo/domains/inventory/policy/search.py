@@ -1,4 +1,4 @@
-"""The best numbers of a classical rule, by trying neighbours on common paths."""
+"""Searches for the best numbers of a classical rule among neighbours, on common paths."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -22,11 +22,12 @@ def search(
 ) -> tuple[float, ...]:
     """The numbers at which `cost` is smallest, among points of a grid of width `minimum`.
 
-    It moves by `step` along every number, and for two numbers along both diagonals, while the cost
-    falls; then by half of the step, and so on down to `minimum`. At most `maximum` costs are
+    The search moves by `step` along every number, and for two numbers also along both diagonals,
+    while the cost falls. It then halves the step, down to `minimum`. At most `maximum` costs are
     computed.
 
-    - `together`: pairs that also move along their diagonals, if there are more than two numbers.
+    - `together`: pairs of numbers for which the search also moves along diagonals, if there are
+      more than two numbers.
     """
     costs: dict[tuple[float, ...], float] = {}
 
@@ -49,8 +50,8 @@ def search(
 
 
 def _steps(size: int, together: Sequence[tuple[int, int]]) -> list[tuple[int, ...]]:
-    """Every neighbour of a point of two numbers; of others, those along one number, and along the
-    diagonals of the pairs that move together."""
+    """The neighbours of a point: all of them if it has two numbers; otherwise those along one
+    number, and along the diagonals of the pairs that move together."""
     if size == 2:
         return [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]
     steps = [{i: step} for i in range(size) for step in (1, -1)]

@@ -1,1 +1,1 @@
-"""From tables to records."""
+"""Reads the tables of an inventory case into records."""

@@ -17,7 +17,7 @@ from .tables import HorizonTable, InventoryTable, ItemReportTable, ItemTable
 
 
 def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
-    """The case in the TOML file `file`, whose tables were read already: `data`.
+    """The case in the TOML file `file`, whose tables `data` have already been read.
 
     **Raises:** `CaseError` if a table, a file or a number is wrong.
     """
@@ -58,7 +58,7 @@ def read_case(file: Path, data: Mapping[str, Any]) -> InventoryCase:
 
 def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
     if table.whole and not complete:
-        section.notes.append("Orders are whole numbers, but demand is not.")
+        section.notes.append("Orders are in whole units, but demand is not.")
     shortage = table.shortage
     if table.unmet == "lost":
         by_unit, text = f"{table.currency}/{table.unit}", "cost of a unit of demand that is lost"
@@ -80,7 +80,8 @@ def _item(section: TableContext, table: ItemTable, complete: bool) -> Item:
 
 
 def _warm_up(table: HorizonTable, item: Item) -> int:
-    """As given; else ten lead times for an average, and none if money is discounted."""
+    """The number in the case. Its default is ten times (lead time + 1) for an average, and 0 if
+    money is discounted."""
     if table.warm_up is not None:
         return table.warm_up
     return 0 if table.factor < 1 else 10 * (item.lead_time + 1)

@@ -63,22 +63,25 @@ class PlaceTable(CaseTable):
 
     name: PlaceName = doc("name of the place", allowed=PLACE)
     supplier: PlaceName | None = doc(
-        "place that supplies it, by default an outside source with unlimited supply",
+        "place that supplies this place; by default an outside source with unlimited supply",
         None,
         "the name of another place",
     )
     lead_time: LeadTime
     holding: CaseInput = HOLDING(
-        "cost of a unit at the place, or on its way from there, each period", name="holding_cost"
+        "cost per period of a unit at the place, or on its way to a place that it supplies",
+        name="holding_cost",
     )
     shortage: CaseInput | None = HOLDING(
         "cost of a unit of unmet demand", None, name="shortage_cost"
     )
     order: CaseInput = COST("cost of an order of any size", 0.0, name="order_cost")
     demand: dict[str, Any] | None = doc(
-        "distribution of the demand of its customers", None, "a table, as [demand]"
+        "distribution of the demand of the place's customers", None, "a table, as [demand]"
     )
-    season: dict[str, Any] | None = doc("season of its demand", None, "a table, as [season]")
+    season: dict[str, Any] | None = doc(
+        "season of the place's demand", None, "a table, as [season]"
+    )
 
 
 class NetworkReportTable(ReportTable):
@@ -96,11 +99,11 @@ class TransshipmentTable(CaseTable):
     )
     cost: CaseInput = COST("cost of a unit that one store sends another", name="transshipment_cost")
     when: Literal["after", "before"] = doc(
-        "whether units are sent after or before demand is seen",
+        "whether units are sent after or before demand is known",
         "after",
         '"after" or "before" (demand)',
     )
-    one_way: bool = doc("whether only the first of two places sends units", False)
+    one_way: bool = doc("whether only the first of the two places sends units", False)
 
 
 class NetworkFile(CaseTable):
@@ -200,7 +203,8 @@ def read_network(file: Path, data: Mapping[str, Any]) -> NetworkCase:
 def _check(
     rows: list[PlaceTable], sections: list[TableContext], complete: TableContext, unmet: str
 ) -> None:
-    """Names, suppliers without a circle, customers at every end, shortage if there are any."""
+    """Checks names, that suppliers form no circle, that all goods can reach customers, and that
+    places with customers have a shortage cost."""
     names = [row.name for row in rows]
     if not 1 <= len(rows) <= MAXIMUM:
         raise complete.error("place", len(rows), f"there must be 1 to {MAXIMUM} tables [[place]]")
@@ -218,14 +222,23 @@ def _check(
             raise section.error(key, None, message)
         supplying = any(item.supplier == row.name for item in rows)
         if row.demand is None and not supplying:
-            raise section.error("demand", None, "this place has no customers and supplies no other")
+            raise section.error(
+                "demand", None, "this place has no customers and supplies no other place"
+            )
         if row.demand is not None and supplying:
-            message = "a place that supplies another one must not have customers: add a place"
+            message = (
+                "a place that supplies another place must not have customers; add a place "
+                "for the customers"
+            )
             raise section.error("demand", row.demand, message)
         observed, here = {row.name}, row.supplier
         while here is not None:
             if here in observed:
-                raise section.error("supplier", row.supplier, "the suppliers form a circle")
+                raise section.error(
+                    "supplier",
+                    row.supplier,
+                    "the suppliers form a circle: at least one place must order from outside",
+                )
             observed.add(here)
             here = rows[names.index(here)].supplier
 
@@ -245,7 +258,9 @@ def _pools(
         if len(set(table.between)) < len(table.between):
             raise section.error("between", table.between, "a place may be listed only once")
         if table.one_way and len(table.between) != 2:
-            message = "with one_way there are two places, the first of which sends to the second"
+            message = (
+                "with one_way there must be two places, the first of which sends to the second"
+            )
             raise section.error("one_way", True, message)
         sites = tuple(names.index(name) for name in table.between)
         pool = Pool(sites if table.one_way else tuple(sorted(sites)), table.one_way,
@@ -262,7 +277,8 @@ def _pools(
 def _place(
     row: PlaceTable, section: TableContext, names: list[str], unit: str
 ) -> tuple[Site, Demand | None, CaseInput | None]:
-    """The place of one table with its demand and season; `unit` of demand in a period."""
+    """The place of one table, with its demand and season; `unit`: the unit of demand in a
+    period."""
     supplier = names.index(row.supplier) if row.supplier is not None else None
     demand, season = None, None
     if row.season is not None:
@@ -283,17 +299,17 @@ def _inner(section: TableContext, name: str) -> TableContext:
 
 
 def _whole(demand: Demand, season: CaseInput | None) -> bool:
-    """Whether all demand is whole: a history times a season is not."""
+    """Whether all demand is in whole units; a history that a season multiplies is not."""
     return demand.integer or (demand.in_pieces() and season is None)
 
 
 def _pays(row: PlaceTable) -> bool:
-    """Whether an order costs something whatever its size."""
+    """Whether an order has a cost that does not depend on its size."""
     return bool(row.order.values[0] > 0)
 
 
 def _by_label(costs: Mapping[str, CaseInput], unit: str) -> CaseInput:
-    """Costs of one kind in several tables as one input, in `unit`."""
+    """The costs of one kind in several tables, as one input in `unit`."""
     parts = list(costs.values())
     values = [part.values[0] for part in parts]
     locations = tuple(part.positions[0] for part in parts)

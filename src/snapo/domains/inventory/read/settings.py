@@ -51,13 +51,13 @@ def read_settings(top: FileWithSettings, file: str) -> dict[str, Any]:
 SHORTEST_SEASON, LONGEST_SEASON = 2, 366  # periods
 FACTOR = Quantity(
     "1", Range(0.001, 1000.0), "demand", column="factor",
-    plausible=Plausible(0.02, 20.0, "it is a factor of the mean, 1.2 is 120 %"),
+    plausible=Plausible(0.02, 20.0, "the factor multiplies the mean; 1.2 is 120 %"),
     meaning="demand of a period relative to the mean",
 )  # fmt: skip
 
 
 def read_season(section: TableContext, data: Mapping[str, Any]) -> CaseInput:
-    """Factors of demand by place in the season, of the table `section`.
+    """The factors of demand by position in the season, from the table `section`.
 
     **Raises:** `CaseError` for a table, a file or a number that is wrong.
     """
@@ -77,15 +77,15 @@ def no_season() -> CaseInput:
 
 
 def unit_slips(files: CaseFiles, inputs: Iterable[Any], period: str) -> list[str]:
-    """Notes on the numbers of an item, or of a network."""
+    """Notes on implausible numbers of an item or a network."""
     entries = [checked_numbers(entry) for entry in inputs]
     return list(implausible(entries, list(_ranges(entries, period)), files).values())
 
 
 def _ranges(entries: Sequence[CheckedNumbers], period: str) -> Iterator[Plausible]:
-    """The ranges, some of them by the size of other numbers of the case."""
+    """The ranges, some of which depend on the size of other numbers of the case."""
     by_period = f"it must refer to one {period}"
-    hint = f"a factor per {period} is expected, such as 0.999, not the rate 0.001"
+    hint = f"a factor per {period} is expected, such as 0.999, and not a rate such as 0.001"
     yield Plausible(0.5, 1.0, hint, names=("discount",))
     cost = {entry.name: entry.values[entry.values > 0] for entry in entries}
     short, bought = (cost.get(name, np.zeros(0)) for name in ("shortage_cost", "purchase_cost"))

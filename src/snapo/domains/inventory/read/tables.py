@@ -1,4 +1,4 @@
-"""The tables of an inventory case of the TOML file, each key with its meaning.
+"""The tables of an inventory case in its TOML file; every key has its meaning.
 
 The description of a key is the text of allowed values in an error message.
 """
@@ -41,12 +41,12 @@ def whole_number(
     return doc(meaning, default, text, ge=low, le=high)
 
 
-MoneyName = Annotated[ItemName, doc("currency of all money", "EUR", NAME)]
+MoneyName = Annotated[ItemName, doc("currency of all amounts of money", "EUR", NAME)]
 UnitName = Annotated[ItemName, doc("unit of stock and demand", "piece", NAME)]
 PeriodName = Annotated[ItemName, doc("time from one decision to the next", "week", NAME)]
 WholeOrders = Annotated[
     bool | None,
-    doc("whether orders are in whole units; by default they are if demand is", None),
+    doc("whether orders are in whole units; by default they are if demand is in whole units", None),
 ]
 LeadTime = Annotated[
     int,
@@ -55,11 +55,11 @@ LeadTime = Annotated[
     ),
 ]
 HorizonKey = Annotated[dict, subtable("periods and discount factor", "horizon", {})]
-OTHER_LEADS = "whether other policies are trained, with lead times one period shorter and longer"
+OTHER_LEADS = "whether policies are also trained with lead times one period shorter and longer"
 
 
 def _coming(raw: Any, key: KeyContext) -> CaseInput | None:
-    """The orders on their way at the start; their number follows from the keys before it."""
+    """The orders on their way at the start; the lead time determines how many there must be."""
     if raw is None or "lead_time" not in key.values:
         return None
     if not isinstance(raw, list):
@@ -88,9 +88,9 @@ class ItemTable(CaseTable):
     period: PeriodName
     unmet: Literal["lost", "waits"] = doc("whether unmet demand is lost or waits")
     lead_time: LeadTime
-    holding: CaseInput = HOLDING("cost of a unit in stock, each period", name="holding_cost")
+    holding: CaseInput = HOLDING("cost per period of a unit in stock", name="holding_cost")
     shortage: CaseInput = HOLDING(
-        "cost of a unit of demand that waits, each period", name="shortage_cost"
+        "cost per period of a unit of demand that waits", name="shortage_cost"
     )
     purchase: CaseInput = COST("cost of a unit ordered", 0.0, name="purchase_cost")
     order: CaseInput = COST(
@@ -111,7 +111,10 @@ class HorizonTable(CaseTable):
 
     periods: int = whole_number("periods that count", 2, 2000, 100)
     warm_up: int | None = whole_number(
-        "periods before those that count, by default 10 (lead time + 1)", 0, 2000, None
+        "number of periods before those that count; by default 10 times (lead time + 1)",
+        0,
+        2000,
+        None,
     )
     discount: CaseInput = DISCOUNT("discount factor of a period", 1.0)
 
@@ -122,7 +125,7 @@ class HorizonTable(CaseTable):
 
 
 class SeasonTable(CaseTable):
-    """`[season]`: of an item; of a place of a network, its key `season`"""
+    """`[season]` of an item, or the key `season` of a place of a network"""
 
     file: ItemName = doc(
         "demand of a period of the season relative to the mean",
