@@ -19,7 +19,7 @@ from snapo.study.study import StudyRun
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import PharmaProcess
 from ..quality.boundary import interval
-from ..quality.estimation import DOUBT, ParameterFit, fit, model_of, numbers_of, variables_of
+from ..quality.estimation import MISFIT, ParameterFit, fit, model_of, numbers_of, variables_of
 from ..quality.records import Estimation
 from ..read.entries import EntryNumbers
 from ..read.fitted import COLUMNS
@@ -313,10 +313,10 @@ def validation(run: RunFiles) -> Section:
 def _of_fit(tail: float) -> str:
     """Whether the chi² of the fit is that of a correct model, at the limit of the fit itself."""
     text = f"A correct model exceeds the chi² of the fit with probability {percent(tail)}"
-    doubtful = tail < DOUBT
+    inadequate = tail < MISFIT
     return (
         f"{text}: the errors of the measurements, or the model, are inadequate."
-        if doubtful
+        if inadequate
         else f"{text}."
     )
 

@@ -26,7 +26,7 @@ from snapo.study.run_folder import case_files
 from snapo.study.study import StudyRun
 
 from ..flowsheet.case import PharmaCase
-from ..quality.estimation import DOUBT, ParameterFit
+from ..quality.estimation import MISFIT, ParameterFit
 from ..shared import open_loop
 from .attribution import ATTRIBUTION
 from .batch import ONE_BATCH, BatchResult
@@ -101,7 +101,7 @@ def reservations(fit: ParameterFit) -> str:
     """The reason why a fit is not reliable, or ""."""
     if not fit.converged:
         return f"the fit did not converge: {fit.message}"
-    if not fit.tail < DOUBT:
+    if not fit.tail < MISFIT:
         return ""
     return (
         f"the fit does not describe its data: chi² {fit.chi2:.4g} at {fit.freedom} degrees of "

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
     from ..flowsheet.process import PharmaProcess
 
 NOTABLE = 0.3  # of a direction's length: a number that belongs to it
-DOUBT = 1e-3  # tail of chi^2 below which the model does not describe the data
+MISFIT = 1e-3  # tail of chi^2 below which the model does not describe the data
 SAME = 1e-9  # of half of chi^2: minima that differ by less are equally good
 AT_BOUND = 1e-5  # of the room between its bounds: so near a number is at one of them
 
@@ -150,7 +150,7 @@ def _others(result, searched, estimation: Estimation) -> list[OptimizeResult]:
 def _scale(chi2: float, freedom: int, errors: str) -> float:
     """The factor on the covariance of known errors."""
     freedom = max(freedom, 1)
-    if errors == "relative" or chdtrc(freedom, chi2) < DOUBT:
+    if errors == "relative" or chdtrc(freedom, chi2) < MISFIT:
         return chi2 / freedom
     return 1.0
 
