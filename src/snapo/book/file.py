@@ -144,8 +144,8 @@ class BookContract:
     - `quantity`: the number of these contracts in the book; a negative number means sold contracts.
     - `tables`: the tables of the case after all changes; `files`: {name: content} of the files that
       they name.
-    - `labels`: {column: text} of its row.
-    - `origin`: its files; None for a case without a book.
+    - `labels`: {column: text} of its row in the table of contracts.
+    - `origin`: the files from which its numbers come; None for a case without a book.
     """
 
     name: str

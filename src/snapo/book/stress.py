@@ -103,7 +103,9 @@ def read_stresses(file: Path, entries: Sequence[Mapping[str, Any]]) -> Iterator[
             yield from _of_table(TableContext(file, where, []), table.table)
             continue
         if not table.name or not (table.scale or table.shift or table.set):
-            message = "a stress needs a name and one of scale, shift or set, or else a table"
+            message = (
+                "a stress needs either a name and at least one of scale, shift and set, or a table"
+            )
             raise CaseError(str(file), where, table.name or None, message)
         when = _period(str(file), f"{where}.when", table.when)
         keys = dict.fromkeys([*table.scale, *table.shift])

@@ -5,7 +5,7 @@ A domain declares `Plausible` ranges by name, or by group and unit; `implausible
 of a case. It writes one note for each input with a number outside of its range or, on a curve, far
 from its neighbours.
 
-    RATE = Plausible(-0.02, 0.2, "a fraction is expected, 0.02 is 2 %", group="interest rate")
+    RATE = Plausible(-0.02, 0.2, "a fraction is expected (0.02 is 2 %)", group="interest rate")
     notes = implausible(inputs, [RATE], CaseFiles(file, data)).values()
 
 Zero is the same number in every unit, and gets no note. The position of a number is the cell of the
@@ -36,7 +36,7 @@ from .given import (
 from .table import TableContext
 
 AROUND = 4  # neighbours along a curve with which a number is compared
-FRACTION = "a fraction is expected, 0.02 is 2 %"
+FRACTION = "a fraction is expected (0.02 is 2 %)"
 EXACT = 1e-9  # relative, between a number and its text
 TABLES = (".csv", ".parquet")
 LARGEST = 4 << 20  # bytes of a table in which a number is looked up

@@ -103,7 +103,7 @@ class RunResult:
 
 @dataclass(frozen=True)
 class RunFiles:
-    """The contents of a run folder; the subclass of a domain adds its units.
+    """The contents of a run folder; a domain's subclass adds the units of its numbers.
 
     **Attributes:**
 

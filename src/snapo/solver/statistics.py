@@ -306,7 +306,8 @@ def proportion(count, of: int):
 def controlled(
     result: np.ndarray, controls: list[np.ndarray]
 ) -> tuple[np.ndarray, list[int], Sampled]:
-    """Shares [G] minus their regression on controls of mean zero, and the estimate of their mean.
+    """The shares [G] of the groups of paths minus their regression on controls of mean zero, and
+    the estimate of the mean of the result.
 
     A control whose mean differs from zero, with a p-value below one in a million, is not used: it
     would remove a part of the value with the noise. The indices of such controls are returned.

@@ -97,7 +97,7 @@ def test_noise_of_the_calendar(size, antithetic):
     np.testing.assert_array_equal(first.reshape(len(paths), 5, size), early[:5].swapaxes(0, 1))
     np.testing.assert_array_equal(late, early[4:])
     draws = Pseudo(5).counter(paths, 4, 2)
-    with pytest.raises(ValueError, match="initial_noise_size is 3"):
+    with pytest.raises(ValueError, match="initial_noise_size, 3, is not"):
         Native().values(Echo(2), Constant(0.0), Echo(2).prepare(None), draws, Exact())
 
 

@@ -30,7 +30,8 @@ ENDING = ".kernel"
 
 
 class StoredKernel:
-    """The file of a kernel, whose name is computed from the arguments of the kernel's trace.
+    """The file in which a kernel is stored. Its name is computed from the arguments with which the
+    kernel is traced.
 
     **Arguments:**
 

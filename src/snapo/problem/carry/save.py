@@ -20,8 +20,8 @@ from .latest import followed
 
 
 def described(tree: Any) -> dict[str, str]:
-    """{position: text} of the kinds, plain settings and functions in a policy or a tree of
-    policies.
+    """{position: text} of a policy or a tree of policies. A text is the name of a class or of a
+    function, or a setting that is a number, a text, True, False or None.
 
     Positions are like "policy.activation". Nothing depends on the process: functions and classes
     have only their names. Arrays are left out.
@@ -30,7 +30,7 @@ def described(tree: Any) -> dict[str, str]:
 
 
 def difference(stored: Mapping[str, str], now: Mapping[str, str]) -> str:
-    """The first difference as a clause, "its activation is tanh, and here it is silu"; or "".
+    """The first difference as a clause, "its activation is tanh, but must be silu"; or "".
 
     A position that only one of the two has is ignored: another version may have added it.
     """

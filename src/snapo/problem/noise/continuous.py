@@ -134,7 +134,10 @@ def refuse_correlation(noise: Any) -> None:
         full = np.eye(k)
         full[rows, columns] = full[columns, rows] = item
         if np.linalg.eigvalsh(full)[0] <= 0:
-            raise ValueError(f"{name}: {item.tolist()} is not positive definite.")
+            raise ValueError(
+                f"{name}: correlation is {item.tolist()}; the correlation matrix with this strict "
+                "lower triangle must be positive definite."
+            )
 
 
 END = 6.5  # normals of 32 bits end at 6.34

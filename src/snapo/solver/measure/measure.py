@@ -313,8 +313,8 @@ def _long(run: MeasuredRun, table: Sensitivities | None) -> list[str]:
         return []
     notes = [
         f"Paths have more than {LONG:,} steps, so derivatives were measured on only "
-        f"{run.held_paths:,} of them. Their total number of steps is that of the requested "
-        f"number of paths with {LONG:,} steps each."
+        f"{run.held_paths:,} of them. Together they have as many steps as the requested "
+        f"number of paths would have with {LONG:,} steps each."
     ]
     if run.evaluation.judge_paths:
         notes.append(

@@ -42,7 +42,7 @@ class StopRelaxation:
     """
 
     terms = 1
-    description = "the innovations of a fitted value of the rights"
+    description = "the innovations of a fitted value of the remaining rights to stop"
 
     def __init__(self, problem: Problem, paths: int = FIT, inner: int = INNER):
         from scipy.stats import qmc  # late: it takes a second to load

@@ -116,7 +116,7 @@ def test_check_prints_the_note_before_the_lines_of_the_case(tmp_path):
     lines = check(CaseRequest(folder), printed.append)
     assert printed == [
         "note: model.spot_volatility: spot_volatility is 4,500 volatility points (45), outside 0.5 "
-        "to 500 volatility points: a fraction is expected, 0.85 is 85 %."
+        "to 500 volatility points: a fraction is expected (0.85 is 85 %)."
     ]
     assert lines[-1] == "the contract can be met"
 

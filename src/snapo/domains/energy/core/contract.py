@@ -69,8 +69,8 @@ class ContractLayout(NamedTuple):
     """The fixed properties of a contract, on which compiled code depends.
 
     - `indexed`: whether its cash depends on an index as well as on the spot price.
-    - `banks`: how many of the last levels are balances of the first level between contract years,
-      ordered by age; see `bank.py`.
+    - `banks`: how many of the last levels are volumes of the first level that are carried from one
+      contract year to the next, ordered by age; see `bank.py`.
     - `reported`: names of the moves that a path counts.
     - `sums`: the weights of the levels in joint limits, see `Promises`.
     - `fixed_volumes`: whether each move fixes the volume of its flow (`StepTerms.fixed_volume`);

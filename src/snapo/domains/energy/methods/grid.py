@@ -73,8 +73,11 @@ class ContractGrid:
 def grid_of(
     layout: ContractLayout, schedule: Any, parts: int = 1, apart: np.ndarray | None = None
 ) -> ContractGrid:
-    """The grid of a schedule with NumPy leaves. `parts`: into how many parts the measure is
-    divided, for a finer grid. `apart` [levels]: the smallest distance of nodes, for a coarse grid.
+    """The grid of a schedule with NumPy leaves.
+
+    - `parts`: the number of parts into which the common divisor of the volumes (the distance of
+      nodes) is divided, for a finer grid.
+    - `apart` [levels]: the smallest distance of nodes, for a coarse grid.
     """
     terms, found = schedule.steps.terms, schedule.steps.intervals
     start = np.asarray(schedule.constants.start, float)

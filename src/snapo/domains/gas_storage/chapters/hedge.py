@@ -34,8 +34,8 @@ TEXT = (
     "hedged is the variance with the hedge, divided by the variance without a hedge."
 )
 BY_PRODUCT = (
-    "The share of the variance that is left if only the positions in this product are held, and if "
-    "all positions of the hedge except these are held."
+    "The remaining share of the variance, first if only the positions in this product are held, "
+    "then if all other positions of the hedge are held."
 )
 
 

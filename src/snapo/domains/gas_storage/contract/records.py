@@ -211,7 +211,7 @@ class GasMarket(TreeRecord):
       [T]; if `StorageCase.has_end_price`, one more price for the end date, index [T + 1].
     - `zero_rate`: continuous rates, Act/365, index [n] of all nodes; linear in days between nodes,
       flat outside.
-    - `zero_rate_day`: [n] integer days of the nodes, strictly rising (one 0 for a plain number).
+    - `zero_rate_day`: [n] integer days of the nodes, strictly rising; [0] for a single rate.
     - `gas_day`: [T] day on which the gas of day t is paid.
 
     A payment on day d is discounted by exp(-r(d) d / 365), and not discounted if d <= 0.

@@ -38,7 +38,7 @@ VOLATILITY = Quantity(
     display_unit="volatility point",
     display_factor=100.0,
     limits=Range(0.0, 50.0, note=" (5,000 % a year)"),
-    plausible=Plausible(0.005, 5.0, "a fraction is expected, 0.85 is 85 %"),
+    plausible=Plausible(0.005, 5.0, "a fraction is expected (0.85 is 85 %)"),
 )
 REVERSION = Quantity(
     "1/year",

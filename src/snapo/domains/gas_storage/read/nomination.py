@@ -57,5 +57,8 @@ def check_nomination(where: TableContext, table: Any, objective: str, products: 
         )
         raise where.error("nomination", None, message)
     if products is not None:
-        message = "[products] are traded on the days of the flows; leave out one of the two"
+        message = (
+            "it cannot be used with [products], which are traded on the days of the flows; leave "
+            "out either nomination or [products]"
+        )
         raise where.error("nomination", None, message)

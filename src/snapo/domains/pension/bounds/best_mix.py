@@ -19,8 +19,8 @@ from ..records.case import PensionModel
 
 class MixBounds(NamedTuple):
     """Bounds [n] of the weights; `group` [n]: the group of each class, where a class without a
-    group forms its own; bounds of the groups [k]; and for the swaps the shares `minimum`,
-    `maximum` [b]."""
+    group forms its own; bounds of the groups [k]; and `minimum`, `maximum` [b] of the swaps in each
+    of b ranges of maturities, as shares of the assets; empty without swaps."""
 
     low: np.ndarray
     high: np.ndarray

@@ -38,9 +38,10 @@ Fan = dict[str, Floats]  # {"p05": [times], "mean": [times]}
 
 @dataclass(frozen=True)
 class YearlyFans:
-    """Quantiles by year. At `years` from now: the `funding` ratio, the share of paths with a ratio
-    below 1 (`underfunded`), and the mean of min(F - 1, 0) over the worst 5 % (`shortfall`). Within
-    each year: contributions, benefits, and increases minus cuts, which are also `cumulated`.
+    """Quantiles by year. At `years` from now: the `funding` ratio F, the share of paths with F
+    below 1 (`underfunded`), and the mean of min(F - 1, 0) over the 5 % of paths with the lowest F
+    (`shortfall`). Within each year: contributions, benefits, and increases minus cuts, which are
+    also `cumulated`.
     """
 
     years: Floats

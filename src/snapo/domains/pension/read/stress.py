@@ -87,7 +87,11 @@ def _shock(case: PensionCase, row: Row) -> Shock:
     elif target == PRICE:
         _held(case, row)
     elif label and label not in values[target].labels:
-        raise row.error("label", f"{target} has the labels {', '.join(values[target].labels)}")
+        labels = ", ".join(filter(None, values[target].labels))
+        one_of = f"must be empty or one of the labels of {target}: {labels}"
+        raise row.error(
+            "label", one_of if labels else f"must be empty: {target} is a single number"
+        )
     kind = word(row, "kind", ("add", "multiply"))
     if target == PRICE and kind != "multiply":
         raise row.error(

@@ -160,7 +160,7 @@ class MembersTable(CaseTable):
         "the actuary's expected payments, in money, instead of cohorts", "year,amount", None
     )
     normal_cost: Annotated[CaseInput, FLOWS, ACCRUING] = MEMBER_MONEY(
-        "the value of a year's accrual today", 0.0, name="normal_cost"
+        "today's value of one year's accrual", 0.0, name="normal_cost"
     )
     salary: Annotated[CaseInput, FLOWS, SALARIES] = MEMBER_MONEY(
         "all salaries", 0.0, name="payroll"

@@ -126,7 +126,7 @@ class Overlay(TreeRecord):
       liability payments that are nearest to the bucket (a hedge ratio).
     - `leverage`: largest sum of absolute notionals, divided by the assets, index [].
     - `cost`: share of the notional traded, index [b].
-    - `collateral_stress`: rise in rates that collateral must withstand, 0.035 is 350 bp, index [].
+    - `collateral_stress`: rise in rates that collateral must withstand (0.035 is 350 bp), index [].
     """
 
     maturities: tuple[int, ...] = field(static=True, converter=as_tuple)

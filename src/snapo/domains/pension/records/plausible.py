@@ -19,9 +19,9 @@ from .people import ACTIVE
 RATE = (-0.02, 0.15)  # zero rates, continuous
 FORWARD = (-0.05, 0.2)
 MAJOR = ("EUR", "GBP", "USD", "CHF")  # currencies of which a salary has a usual size
-YEARLY = "a fraction per year is expected, 0.02 is 2 %"
+YEARLY = "a fraction per year is expected (0.02 is 2 %)"
 MONEY = "is it in the same unit as the other amounts of the case?"
-SHARE = "a fraction is expected, 0.05 is 5 %"
+SHARE = "a fraction is expected (0.05 is 5 %)"
 
 
 def _by_name(low: float, high: float, hint: str, *names: str, by_size: bool = False) -> Plausible:
@@ -43,50 +43,50 @@ RANGES = (
     _by_name(-0.1, 0.2, YEARLY, "asset_mean"),
     _by_name(0.01, 0.6, "0.2 is 20 % a year", "asset_volatility", "currency_volatility"),
     _by_name(0.01, 1.0, SHARE, "asset_smoothing", "currency_hedge_ratio"),
-    _by_name(0.0, 0.1, "it is a share of the trade, 0.001 is 10 bp", "asset_cost", "overlay_cost"),
-    _by_name(0.0, 0.05, "it is a share of the holding a year, 0.001 is 10 bp", "asset_fee",
+    _by_name(0.0, 0.1, "it is a share of the trade (0.001 is 10 bp)", "asset_cost", "overlay_cost"),
+    _by_name(0.0, 0.05, "it is a share of the holding a year (0.001 is 10 bp)", "asset_fee",
              "currency_hedge_cost"),
-    _by_name(-3.0, 3.0, "a fraction of the assets is expected, 0.05 is 5 %", "asset_weight"),
+    _by_name(-3.0, 3.0, "a fraction of the assets is expected (0.05 is 5 %)", "asset_weight"),
     _by_name(-0.02, 0.25, YEARLY, "credit_spread", "credit_mean_spread"),
-    _by_name(0.01, 2.0, "it is the volatility of the logarithm of the spread, 0.35 is 35 %",
+    _by_name(0.01, 2.0, "it is the volatility of the logarithm of the spread (0.35 is 35 %)",
              "credit_volatility"),
     _by_name(0.0, 0.15, YEARLY, "credit_default_loss"),
     _by_name(0.0, 20.0, "1 is a notional as large as the assets", "overlay_leverage"),
-    _by_name(0.002, 0.1, "a rise in rates as a fraction is expected, 0.035 is 350 bp",
+    _by_name(0.002, 0.1, "a rise in rates as a fraction is expected (0.035 is 350 bp)",
              "overlay_collateral_stress"),
     _by_name(0.5, 1e7, "it is the number of members", "members"),
     _by_name(0.0, 60.0, "service is in years", "service"),
     _by_name(1e-6, 1.0, "a probability for one year is expected", "death_probability"),
     _by_name(0.001, 0.2, "it is exp(alpha + 65 beta) + makeham a year", "hazard at 65"),
-    _by_name(0.1, 5.0, "it is a factor, 0.95 is 95 %", "mortality_multiplier", "member_mortality"),
+    _by_name(0.1, 5.0, "it is a factor (0.95 is 95 %)", "mortality_multiplier", "member_mortality"),
     _by_name(-0.05, 0.06, YEARLY, "improvement"),
     _by_name(0.01, 5.0, "it is per square root of a year", "lee_carter_volatility"),
     _by_name(0.0, 5.0, "it is the response of the hazard to the mortality factor",
              "lee_carter_loading", by_size=True),
-    _by_name(0.002, 0.05, "it is the share of the salary that a year of service earns, 1/60 is "
-        "0.0167",
+    _by_name(0.002, 0.05, "it is the share of the salary that a year of service earns "
+             "(1/60 is 0.0167)",
              "plan_accrual_rate"),
     _by_name(0.05, 1.0, SHARE, "plan_spouse_share", "plan_married_share"),
     _by_name(-0.02, 0.12, YEARLY, "revaluation_deferred", "revaluation_active",
              "indexation_rate"),
     _by_name(-0.1, 0.2, YEARLY, "indexation_cap", "indexation_floor"),
-    _by_name(0.4, 2.5, "a ratio is expected, 1.05 is 105 %", "indexation_lower_ratio",
+    _by_name(0.4, 2.5, "a ratio is expected (1.05 is 105 %)", "indexation_lower_ratio",
              "indexation_upper_ratio", "indexation_required_ratio", "contribution_target_ratio",
              "policy ratio"),
-    _by_name(0.002, 1.5, "it is a share of salaries, 0.2 is 20 %", "contribution_rate",
+    _by_name(0.002, 1.5, "it is a share of salaries (0.2 is 20 %)", "contribution_rate",
              "contribution_floor", "contribution_cap"),
     _by_name(0.0, 1.0, SHARE, "contribution_loading", "contribution_spread_factor"),
     _by_name(0.5, 40.0, "it is a number of years", "contribution_recovery_years",
              "funding recovery years"),
     _by_name(0.0, 0.3, SHARE, "liability_expense_loading"),
-    _by_name(-0.02, 0.05, "a margin of rates is expected, 0.005 is 50 bp", "funding margin"),
+    _by_name(-0.02, 0.05, "a margin of rates is expected (0.005 is 50 bp)", "funding margin"),
     _by_name(0.0, 0.5, SHARE, "reserve_today", "reserve_fill_contribution", "reserve_fill_return",
              "reserve_release", "reserve_largest", "insurance risk", "active risk"),
-    _by_name(0.0, 5.0, "a weight is expected, 0.8 is 80 %", "pot_protection", "pot_exposure"),
-    _by_name(0.0, 0.1, "a shift of rates as a fraction is expected, 0.01 is 100 bp", "stress shift",
-             by_size=True),
-    _by_name(-1.0, 5.0, "a fraction is expected, -0.3 is a fall by 30 %", "stress factor"),
-    _by_name(-0.9, 2.0, "a simple return of the step is expected, 0.01 is 1 %", "scenario return"),
+    _by_name(0.0, 5.0, "a weight is expected (0.8 is 80 %)", "pot_protection", "pot_exposure"),
+    _by_name(0.0, 0.1, "a shift of rates as a fraction is expected (0.01 is 100 bp)",
+             "stress shift", by_size=True),
+    _by_name(-1.0, 5.0, "a fraction is expected (-0.3 is a fall by 30 %)", "stress factor"),
+    _by_name(-0.9, 2.0, "a simple return of the step is expected (0.01 is 1 %)", "scenario return"),
     _by_name(-0.2, 0.3, "a logarithmic growth of the step is expected", "scenario growth"),
     _by_name(-0.05, 0.25, FRACTION, "scenario zero"),
 )  # fmt: skip

@@ -65,9 +65,9 @@ def show(run: RunFiles, result: tuple[ProvenRange, ...]) -> list[Block]:
     caption = (
         "The range of one parameter with all others at their set point: for the model with its "
         "nominal numbers, and with the required probability under all variation "
-        f"({number(result[0].samples, 0)} batches per point). The columns “Edge” have the "
-        "attribute that fails beyond the range, or “studied range” if none fails. A range is "
-        "certain while the lower end of the 95 % interval of the probability is at least the "
+        f"({number(result[0].samples, 0)} batches per point). The columns “Edge, …” name "
+        "the attribute that fails beyond the range, or show “studied range” if none fails. A range "
+        "is certain while the lower end of the 95 % interval of the probability is at least the "
         "required probability, and possible while the upper end is."
     )
     return [Table([(name, "") for name in names], rows, caption, 4)]

@@ -26,9 +26,9 @@ class MatrixForms(NamedTuple):
 
     - `raw`: in the attribute's unit per case's unit of the parameter.
     - `scaled`: change of the attribute over half the normal operating range.
-    - `share`: `scaled` divided by the distance to the nearest limit; NaN if the attribute has no
-      limit, infinite if it is on or beyond it.
-    - `zero`: whether an entry is zero because nothing connects the two: exactly 0.0.
+    - `share`: `scaled` divided by the distance to the nearest limit. NaN if the attribute has no
+      limit, 0 if the derivative is 0, infinite if the attribute is on or beyond its limit.
+    - `zero`: whether the derivative is exactly 0.0: the parameter has no effect on the attribute.
     """
 
     raw: np.ndarray
