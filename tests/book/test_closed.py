@@ -123,7 +123,7 @@ def test_stresses_and_tables_are_read(tmp_path):
 
 
 WRONG = {
-    "no stress of this kind": ('[[stress]]\nname = "x"\n', "scale, shift or set"),
+    "no stress of this kind": ('[[stress]]\nname = "x"\n', "scale, shift and set"),
     "two of a name": (
         '[[stress]]\nname = "x"\nscale = { "a.b" = 2 }\n' * 2,
         "two stresses have this name",
