@@ -278,21 +278,17 @@ def most_dropped(training: TrainingPlan) -> float:
 
 
 def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
-    """The state with the window and the bound of this step: none until gradients are erratic or
-    explode."""
-    norms = [record.gradient_norm for record in progress.history]
-    if progress.window is not None or not norms:
-        return progress  # a window is short enough
+    """With the window and the bound of this step: none until gradients jump or explode."""
+    if progress.window is not None or not progress.history:
+        return progress
+    norms = np.array([record.gradient_norm for record in progress.history])
     training, step, since = loop.training, progress.step, progress.since
-    auto, paths = training.clip == "auto", training.paths
+    auto = training.clip == "auto"
     # The dual variable of a limit may lead to a bound of the decisions, where gradients are tiny.
     first = training.steps if progress.dual.prices else EARLY
     fell, leapt = has_fallen(norms, since, first), has_leapt(norms, since)
     held_down = is_held_down(norms, since, memory(progress.scale))
-    # A bound that an early leap has brought hides chaos: the steps before it count.
-    free = [record.gradient_norm for record in progress.history if not record.clip]
-    local = since if progress.clip is None else 0
-    wild = step == FIRST and is_chaotic(free[local:], paths)
+    wild = step == FIRST and is_chaotic(_unbounded(progress), training.paths)
     may_window = _may_window(loop, progress, norms, fell or leapt, wild)
     if may_window or (wild and (auto or training.keep == "auto")):
         # Of the best rule so far, mostly the one that training began with: the last steps may have
@@ -315,16 +311,23 @@ def _chosen(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:
     return replace(progress, optimiser=fresh, since=step)
 
 
+def _unbounded(progress: Progress) -> list[float]:
+    """The norms of gradients without a bound, which would hide chaos after an early leap."""
+    norms = [record.gradient_norm for record in progress.history if not record.clip]
+    return norms[progress.since if progress.clip is None else 0 :]
+
+
 def _may_window(
-    loop: TrainingLoop, progress: Progress, norms: list[float], apart: bool, wild: bool
+    loop: TrainingLoop, progress: Progress, norms: np.ndarray, apart: bool, wild: bool
 ) -> bool:
     """Whether gradients of these norms, of which the last may be far apart, may be chaos."""
-    if loop.training.window != "auto" or not has_worth_ahead(loop.problem) or progress.dual.prices:
+    if loop.training.window != "auto" or progress.dual.prices:
         return False
     # Where the whole horizon has taught something, a leap is no reason to leave it.
     gained = progress.stale < progress.step // loop.training.validation_every
     doubtful = wild or (apart and not gained and progress.step > FIRST)
-    return doubtful and not fell_for_good(norms)  # or a plant would be left that is unstable
+    # If gradients fell permanently, windows would leave a plant that is unstable.
+    return doubtful and has_worth_ahead(loop.problem) and not fell_for_good(norms)
 
 
 def _clipped(loop: TrainingLoop, progress: Progress, smooth: Smooth) -> Progress:

@@ -51,6 +51,7 @@ LONGER = 1.5  # a window over that: without, 2 of a Pendulum's first 6 seeds fai
 SHORTEST = 5
 USUAL = 5  # of the first norms, and of the last ones, whose median counts
 MANY = 64  # paths whose gradient has low noise
+NormSeries = Sequence[float] | np.ndarray  # one norm for each step
 
 
 def erratic(norms: Sequence[float], paths: int = MANY) -> bool:
@@ -68,7 +69,7 @@ def is_chaotic(norms: Sequence[float], paths: int = MANY) -> bool:
     return bool(np.any(result * GROWTH < np.maximum.accumulate(result))) or erratic(norms, paths)
 
 
-def fell_for_good(norms: Sequence[float]) -> bool:
+def fell_for_good(norms: NormSeries) -> bool:
     """Whether gradients fell permanently: training leaves the chaotic region by itself."""
     result = np.asarray(norms, float)
     return bool(np.median(result[-USUAL:]) * GROWTH < np.median(result[:USUAL]))
@@ -126,19 +127,19 @@ PATHS = 256  # of a measurement: of 64 there may be none that chaos has caught
 FEW = 64  # of a bound, which is a median
 
 
-def has_fallen(norms: Sequence[float], since: int, first: int = EARLY) -> bool:
+def has_fallen(norms: NormSeries, since: int, first: int = EARLY) -> bool:
     """Whether the last gradient is far below the largest of the `first` steps after `since`."""
     local = np.asarray(norms[since:])
     return 0 < len(local) <= first and bool(local[-1] * APART < local.max())
 
 
-def has_leapt(norms: Sequence[float], since: int) -> bool:
+def has_leapt(norms: NormSeries, since: int) -> bool:
     """Whether the last gradient is far above the usual size of all earlier ones after `since`."""
     local = np.asarray(norms[since:])
     return len(local) > 3 and bool(local[-1] > APART * np.median(local[:-1]))
 
 
-def is_held_down(norms: Sequence[float], since: int, forget: float) -> bool:
+def is_held_down(norms: NormSeries, since: int, forget: float) -> bool:
     """Whether Adam's mean square of all gradients after `since`, with the decay `forget` per step,
     is far above the usual size of the last gradients; the steps of Adam are then too short by that
     factor."""

@@ -158,10 +158,11 @@ class Parts(NamedTuple):
 
     def with_vector(self, policy: PyTree, vector: Array) -> PyTree:
         """The policy with other numbers."""
-        leaves = jax.tree.leaves(policy)
-        for position, part in zip(self.trained, np.split(np.asarray(vector), self.stops[:-1])):
-            like = leaves[position]
+        leaves, numbers, start = jax.tree.leaves(policy), np.asarray(vector), 0
+        for position, stop in zip(self.trained, self.stops):
+            like, part = leaves[position], numbers[start:stop]
             leaves[position] = part.reshape(like.shape).astype(like.dtype, copy=False)
+            start = stop
         return jax.tree.unflatten(self.structure, leaves)
 
 
