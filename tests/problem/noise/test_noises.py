@@ -138,7 +138,7 @@ def test_gamma_quantiles_and_their_derivative_by_the_shape():
         (lambda: noise.Poisson(-1.0), "mean is -1"),
         (lambda: noise.Gamma(0.01), "shape is 0.01"),
         (lambda: noise.Uniform(2.0, 1.0), "below low"),
-        (lambda: noise.Normal(correlation=[0.9, -0.9, 0.9]), "not positive definite"),
+        (lambda: noise.Normal(correlation=[0.9, -0.9, 0.9]), "must be positive definite"),
         (lambda: noise.Normal(correlation=[0.9, 0.1]), "strict lower triangle"),
         (lambda: noise.Markov([[0.5, -0.5], [0.5, 0.5]]), "below 0"),
         (lambda: noise.Correlated([noise.Normal()], [0.1]), "1 noises"),
