@@ -1,6 +1,7 @@
 """Makes the tables, sums and risk of a book from its results."""
 
 import itertools
+import math
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
@@ -143,6 +144,7 @@ class Results:
     failures: list[dict[str, str]] = field(default_factory=list)
     points: dict[tuple[str, ...], PointTotal] = field(default_factory=dict)
     explained: dict[str, float] = field(default_factory=dict)
+    incomplete: set[tuple[str, str, str]] = field(default_factory=set)
     cpu_seconds: float = 0.0
     peak_mb: float = 0.0
     shapes: set[str] = field(default_factory=set)
@@ -176,6 +178,8 @@ class Results:
                 contract.market, shares, member.world
             )
         columns = [("", ""), *((x, contract.labels.get(x, "")) for x in self.book.by)]
+        if member.base.status != "ok":
+            self.incomplete |= {(column, label, contract.market) for column, label in columns}
         for x in member.base.exposure:
             for column, label in columns:
                 key = (column, label, contract.market, x.output, x.unit)
@@ -225,7 +229,7 @@ class Results:
             },
             "risk": [risk._asdict() for risk in risks(self.total, stresses)],
             "deltas": self._deltas(),
-            "exposure": self.exposure.table(self.total.is_common),
+            "exposure": self.exposure.without(self.incomplete).table(self.total.is_common),
             "points": [
                 entry.row(dict(zip([axis.label for axis in self.book.axes], at)))
                 for at, entry in self.points.items()
@@ -236,6 +240,11 @@ class Results:
                 f"their sums have no errors"
                 for market in self.total.shares
                 if not self.total.is_common(market)
+            ]
+            + [
+                f"a contract of the market {market or 'of the book'} has no value: derivatives "
+                f"and exposures of this market are not summed"
+                for market in sorted({market for _, _, market in self.incomplete})
             ],
             "failures": self.failures[:1000],
             "shapes": len(self.shapes),
@@ -246,7 +255,8 @@ class Results:
         }
 
     def _deltas(self) -> list[dict[str, Any]]:
-        months = self.deltas.by_month()
+        markets = {market for _, _, market in self.incomplete}
+        months = self.deltas.without(markets).by_month()
         rows = []
         for key in months.blocks:
             value, error = months.estimate(key)
@@ -265,15 +275,18 @@ def _shared_row(shared: SharedPolicy) -> dict[str, Any]:
 def _sum_row(stress: str, total: Sum | None, explained: float | None = None) -> dict[str, Any]:
     row: dict[str, Any] = {"stress": stress}
     row |= dict.fromkeys(Sum._fields) if total is None else total._asdict()
-    if explained is not None and total is not None:
+    if explained is not None and total is not None and math.isfinite(explained):
         row |= {"explained": explained, "unexplained": total.change - explained}
     return row
 
 
 def explained(base: BookPoint, point: BookPoint) -> float:
-    """The change of value that the held derivatives at the base explain, for one contract."""
+    """The change of value that the held derivatives at the base explain, for one contract; NaN if
+    the derivative with respect to a changed input is missing."""
     sums = {delta.input: delta.blocks.mean(0) for delta in base.deltas}
-    return sum(float(sums[name] @ x) for name, x in point.changes.items() if name in sums)
+    if not sums or not sums.keys() >= point.changes.keys():
+        return math.nan
+    return sum(float(sums[name] @ x) for name, x in point.changes.items())
 
 
 def tables(member: BookPosition) -> dict[str, TableRows]:
@@ -285,7 +298,8 @@ def tables(member: BookPosition) -> dict[str, TableRows]:
     for stress, (point, cost, shape) in member.points.items():
         entry = head | {"stress": stress}
         change = statistics.of_shares(point.shares - base.shares) if _both_ok(point, base) else None
-        by_deltas = contract.quantity * explained(base, point) if change else None
+        part = explained(base, point)
+        by_deltas = contract.quantity * part if change and math.isfinite(part) else None
         change_value = None if change is None else contract.quantity * change.value
         values.append(
             entry

@@ -12,10 +12,13 @@ from snapo.study.domain import Domain, Options, find
 from snapo.study.kind import with_other_numbers
 from snapo.study.positions import InputPositions
 from snapo.study.positions.files import read_files
-from snapo.study.study import Study
+from snapo.study.study import Setup, Study
 
 from .job import BookJob, BookPoint
 from .stress import StressMove, check_tables, moved_numbers
+
+# Tables of a case that no input and no form of a simulator contains.
+SETTINGS = ("objective", "training", "evaluation", "policy", "scenarios")
 
 
 class JobContract:
@@ -38,19 +41,44 @@ class JobContract:
         self.study: Study = self.domain.study(self.case, Options())
 
     def under(self, moves: tuple[StressMove, ...], inputs: Mapping[str, Input]) -> Any:
-        """The case under a stress; `inputs`: the inputs of the unstressed case."""
+        """The case under a stress; `inputs`: the inputs of the unstressed case.
+
+        Keys are set first: numbers are scaled and shifted on the days that the case then has.
+        """
         check_tables(moves, self.tables)
         settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
+        scaled = [move for move in moves if not move.value]
         tables, case = self.tables, self.case
         if settings:
             tables, _ = assigned(tables, settings)
             case = self.domain.read(self.file, tables)
-        values = moved_numbers(case, inputs, [move for move in moves if not move.value])
+        if settings and scaled:
+            inputs = self._inputs(case)
+        values = moved_numbers(case, inputs, scaled)
         if not values:
             return case
         files = read_files(self.file.parent, tables)
         of = self.study.inputs
         return InputPositions(self.domain.read, files, inputs, of, case).case_at(values).case
+
+    def _inputs(self, case: Any) -> Mapping[str, Input]:
+        """The inputs of a case of this contract with other keys."""
+        if self.study.inputs is not None:
+            return self.study.inputs(case)
+        setup = self.domain.study(case, Options()).setup
+        assert setup is not None
+        return setup().problem.inputs_by_name
+
+    def setup_under(self, moves: tuple[StressMove, ...], case: Any, setup: Setup) -> Setup:
+        """The setup of the case under a stress. If the stress sets more than terms and numbers,
+        such as the objective, nothing of the `setup` of the contract can be used."""
+        keys = (key_as_in(self.tables, move.key) for move in moves if move.value)
+        if any(key.partition(".")[0] in SETTINGS for key in keys):
+            anew = self.domain.study(case, Options()).setup
+            assert anew is not None
+            return anew()
+        assert self.study.setup_at is not None
+        return self.study.setup_at(setup, case)
 
     def stressed(self, at: Callable[[tuple[StressMove, ...]], BookPoint]) -> Iterator[BookPoint]:
         """The points of the stresses of the job, valued by `at`."""

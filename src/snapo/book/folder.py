@@ -13,7 +13,7 @@ import json
 import os
 import shutil
 import tempfile
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
@@ -205,7 +205,7 @@ class BookFolder:
 
         **Raises:** `CaseError` if it cannot be written, or contains other files.
         """
-        if self.path.exists() and not (self.path / BOOK).exists() and any(self.path.iterdir()):
+        if self.path.exists() and not (self.path / BOOK).exists() and any(self._others()):
             message = "this folder has other files; it must be empty or the folder of a book"
             raise CaseError(str(self.path), "", None, message)
         if not keep:
@@ -216,6 +216,10 @@ class BookFolder:
         (self.path / ANSWERS).mkdir(parents=True, exist_ok=True)
         table = {"layout": LAYOUT, "kind": "book", **record}
         write_text(self.path / BOOK, json.dumps(table, indent=1, default=str))
+
+    def _others(self) -> Iterator[Path]:
+        """The files that no book has. Another shard may be about to write book.json."""
+        return (x for x in self.path.iterdir() if x.name != ANSWERS and x.name[0] != ".")
 
     def record(self) -> dict[str, Any]:
         """The content of book.json. **Raises:** `CaseError` if it is missing, damaged, or of

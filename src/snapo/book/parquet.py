@@ -1,5 +1,7 @@
 """Parquet tables of a book, a file for each contract or for several, and queries on them."""
 
+import os
+import secrets
 from pathlib import Path
 from typing import Any
 
@@ -30,7 +32,7 @@ class TableWriter:
             folder = self.path / name
             folder.mkdir(exist_ok=True)
             for file in folder.glob("*.parquet"):
-                file.unlink()
+                file.unlink(missing_ok=True)  # another shard may make the same tables
         return self
 
     def __exit__(self, *_: object) -> None:
@@ -54,7 +56,7 @@ class TableWriter:
             if parts:
                 table = pa.concat_tables(parts, promote_options="permissive")
                 file = self.path / kind / f"{name}.parquet"
-                temporary = file.with_suffix(".part")
+                temporary = file.with_suffix(f".{os.getpid()}-{secrets.token_hex(4)}.part")
                 parquet.write_table(table, temporary, compression="zstd")
                 temporary.replace(file)
         self.waiting, self.names = [], []

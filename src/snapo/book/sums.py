@@ -6,7 +6,7 @@ their paths; markets are independent, so the squares of their errors add up.
 """
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Container, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -130,6 +130,10 @@ class DeltaTotal:
 
     blocks: dict[tuple[str, str, str], np.ndarray] = field(default_factory=dict)
 
+    def without(self, markets: Container[str]) -> "DeltaTotal":
+        """The sums of the other markets."""
+        return DeltaTotal({key: x for key, x in self.blocks.items() if key[0] not in markets})
+
     def add(self, key: tuple[str, str, str], blocks: np.ndarray) -> None:
         """Adds the derivatives of a position, [blocks]."""
         self.blocks[key] = _sum(self.blocks[key], blocks) if key in self.blocks else blocks
@@ -161,6 +165,10 @@ class ExposureTotal:
         by_day = self.by_key.setdefault(key, {})
         for day, x in zip(days, blocks.T):
             by_day[day] = _sum(by_day[day], x) if day in by_day else x
+
+    def without(self, groups: Container[tuple[str, str, str]]) -> "ExposureTotal":
+        """The sums of other groups, which are (column, label, market)."""
+        return ExposureTotal({key: x for key, x in self.by_key.items() if key[:3] not in groups})
 
     def table(self, is_common: Callable[[str], bool]) -> list[dict[str, Any]]:
         """The content in result.json: for each key, rows in the sequence of the days. It has

@@ -198,9 +198,8 @@ class _Decided:
     def _under(self, moves: tuple[StressMove, ...], policy: Policy | None) -> BookPoint:
         """The value under a stress, with the value table and control variate of the stressed
         numbers."""
-        setup_at, case = self.contract.study.setup_at, self.contract.under(moves, self.inputs)
-        assert setup_at is not None
-        setup = setup_at(self.setup, case)
+        case = self.contract.under(moves, self.inputs)
+        setup = self.contract.setup_under(moves, case, self.setup)
         changes = dict(_changes(self.inputs, setup.problem.inputs_by_name))
         if policy is not None:
             check_held(self.setup.policy, setup.policy)
@@ -322,12 +321,18 @@ class _Calculated:
 def _changes(
     base: Mapping[str, Input], moved: Mapping[str, Input]
 ) -> Iterator[tuple[str, np.ndarray]]:
-    """(input, [n] its numbers minus those of the base) for the inputs that a stress moves."""
+    """(input, [n] its numbers minus those of the base) for the inputs that a stress moves; 0 for
+    the labels, such as days, that the input no longer has."""
     for name, entry in moved.items():
-        if name in base and entry.value.shape == base[name].value.shape:
-            change = (entry.value - base[name].value).ravel()
-            if change.any():
-                yield name, change
+        if name not in base:
+            continue
+        before, now = base[name].value.ravel(), entry.value.ravel()
+        labels, after = base[name].names(), entry.names()
+        if labels != after:
+            numbers = dict(zip(after, now))
+            now = np.array([numbers.get(label, x) for label, x in zip(labels, before)])
+        if (change := now - before).any():
+            yield name, change
 
 
 def _shape(setup: Setup) -> str:

@@ -2,7 +2,9 @@
 
 import datetime
 import math
+import os
 import re
+import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -35,10 +37,14 @@ def _csv_cell(value: Any) -> str:
 
 
 def write_text(file: Path, text: str) -> None:
-    """Writes a file atomically."""
-    partial = file.with_name(file.name + ".partial")
-    partial.write_text(text, encoding="utf-8")
-    partial.replace(file)
+    """Writes a file atomically, whoever else writes it."""
+    partial = file.with_name(f".{file.name}.{os.getpid()}-{secrets.token_hex(4)}.partial")
+    try:
+        partial.write_text(text, encoding="utf-8")
+        partial.replace(file)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 BACKENDS = ("pandas", "polars", "pyarrow")

@@ -119,6 +119,9 @@ def with_numbers(files: Files, entry: CaseInput, numbers: np.ndarray) -> Files:
 
     **Raises:** `CaseError` for a number that no file has, or whose file is not a CSV.
     """
+    if numbers.size != len(entry.positions):
+        count = f"{numbers.size} numbers for {len(entry.positions)} positions"
+        raise CaseError(entry.name, "", None, f"the case has other labels: {count}")
     changes: dict[PlainPosition, dict[str, float]] = {}
     for i, (position, label) in enumerate(zip(entry.positions, entry.labels)):
         number = float(numbers.ravel()[i])
