@@ -112,7 +112,7 @@ def disturbed(unit, charge, measures, measured):
 def test_a_decision_has_its_disturbance_from_the_start_to_the_end():
     """The first reading and the product are those of the batch, as all readings between them."""
     _, nodes, closed, seen = disturbed(HEATED, feed(), ["temperature"], "temperature")
-    assert seen == pytest.approx(np.linspace(*nodes, 7), rel=1e-12)
+    assert seen == pytest.approx(np.linspace(nodes[0], nodes[-1], 7), rel=1e-12)
     assert closed == pytest.approx(nodes[-1:], rel=1e-12)
 
 
