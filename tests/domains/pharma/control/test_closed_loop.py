@@ -1,12 +1,35 @@
 """The process in closed loop: open loop it is the process; feedback beats the best recipe."""
 
+from dataclasses import replace
+
+import jax
+import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.domains.pharma.process_cases import flagship, spread
+from tests.domains.pharma.process_cases import (
+    attribute,
+    batch_reactor,
+    case,
+    chain,
+    crystalliser,
+    feed,
+    flagship,
+    linear,
+    parameter,
+    spread,
+)
 
-from snapo.domains.pharma.control.closed_loop import best_recipe, closed_loop, objective
+from snapo.domains.pharma.control.closed_loop import (
+    best_recipe,
+    closed_loop,
+    nominal_recipe,
+    objective,
+    stages_of,
+)
 from snapo.domains.pharma.control.records import Control, Manipulated, Measurement
+from snapo.domains.pharma.flowsheet.inputs import pharma_inputs
 from snapo.domains.pharma.flowsheet.process import PharmaProcess
+from snapo.domains.pharma.quality.records import Distribution
 from snapo.engine import Engines, Xla
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, Sources, stream
@@ -45,6 +68,68 @@ def test_open_loop_is_the_process():
         distance = min(abs(value - limit) for limit in (each.low, each.high) if limit is not None)
         assert abs(totals[name][0] - value) < 1e-3 * distance
     assert totals["success"][0] == 1.0 and totals["violation"][0] == 0.0
+
+
+HEATED = batch_reactor(temperature=linear("reactor.temperature", [300.0, 320.0]))
+
+
+def disturbed(unit, charge, measures, measured):
+    """One batch of a unit whose linear temperature is decided and varies at every node by 2 K:
+    the case, the nodes of this batch, its `measures` after the recipe as decisions, and the
+    readings of `measured` at the start and after every decision."""
+    name, nodes = unit.name, unit.temperature.value.values
+    vary = Distribution("normal", 2.0)
+    parts = [parameter(f"T{i}", f"{name}.temperature", i, 250, 350) for i in range(len(nodes))]
+    control = Control(
+        (Manipulated(f"{name}.temperature", 250.0, 350.0, None),),
+        (Measurement(f"{name}.{measured}", 0.0, 0.0, 1.0),), ((name, 6),), 256, None,
+    )  # fmt: skip
+    found = case(
+        (charge,), (unit,), chain("charge", name), [attribute(m, f"{name}.{m}") for m in measures],
+        [replace(each, distribution=vary) for each in parts], control=control,
+    )  # fmt: skip
+    z = np.array([1.0, -0.5, 0.3, -1.2])[: len(nodes)]
+    with jax.enable_x64(True):
+        (stage,), inputs = stages_of(found), pharma_inputs(found)
+        schedule = stage.prepare({name: item.value for name, item in inputs.items()})
+        recipe = nominal_recipe(found, [stage], inputs)
+
+        def batch(schedule):
+            noise = jnp.append(jnp.asarray(z), 0.0)
+            state, seen = stage.initial(schedule.constants, noise), []
+            for row, action in enumerate(recipe):
+                seen.append(state["seen"][0])
+                now = {name: item[row] for name, item in schedule.steps.items()}
+                state, _ = stage.step(schedule.constants, now, state, action, noise, Exact())
+            seen.append(state["seen"][0])
+            return stage.leave(schedule.constants, state)["measures"], jnp.stack(seen)
+
+        results, seen = jax.jit(batch)(schedule)
+    closed = [float(results[f"{name}.{m}"]) for m in measures]
+    return found, nodes + 2.0 * z, closed, np.asarray(seen)
+
+
+def test_a_decision_has_its_disturbance_from_the_start_to_the_end():
+    """The first reading and the product are those of the batch, as all readings between them."""
+    _, nodes, closed, seen = disturbed(HEATED, feed(), ["temperature"], "temperature")
+    assert seen == pytest.approx(np.linspace(nodes[0], nodes[-1], 7), rel=1e-12)
+    assert closed == pytest.approx(nodes[-1:], rel=1e-12)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    ("unit", "charge", "measures"),
+    [
+        (HEATED, feed(), ["temperature", "concentration.C"]),
+        # The supersaturation depends on the temperature at the end.
+        (crystalliser(), feed((0.0, 0.0, 0.13, 0.0)), ["supersaturation", "concentration"]),
+    ],
+)
+def test_one_batch_is_the_same_in_open_and_in_closed_loop(unit, charge, measures):
+    """The recipe as decisions is the recipe, with the same disturbance."""
+    found, nodes, closed, _ = disturbed(unit, charge, measures, measures[1])
+    moved = PharmaProcess(found).values({f"{unit.name}.temperature": nodes})
+    assert closed == pytest.approx(moved, rel=1e-4)
 
 
 @pytest.mark.study

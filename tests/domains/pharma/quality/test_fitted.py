@@ -12,10 +12,13 @@ from tests.domains.pharma.pharma_cases import CASE, data
 
 from snapo.case.error import CaseError
 from snapo.domains.pharma.chapters.estimation import fitted_rows
+from snapo.domains.pharma.control.staging import drawn
+from snapo.domains.pharma.derivatives.sensitivities import spread
 from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.quality import draws
 from snapo.domains.pharma.quality.estimation import ParameterFit
 from snapo.domains.pharma.read.case import read_case, resolve
+from snapo.domains.pharma.read.plausible.checks import outside
 
 FIT = filled(
     ParameterFit,
@@ -57,6 +60,35 @@ def test_values_and_covariance_go_on(tmp_path):
     assert draws.unknown(case)[:2].all()
 
 
+def test_a_number_fitted_as_its_logarithm_has_its_value_as_median(tmp_path):
+    """The Gaussian fit in (ln A, E) has its mean at the fitted rate constant, however wide it is
+    along the line on which the rate constant does not change; nor does that width remain in it."""
+    rows = (
+        "kinetics.prefactor[product],26540 L/mol/s,true,0.724,1.0 0.9999\n"
+        "kinetics.activation[product],40000 J/mol,false,1854 J/mol,0.9999 1.0\n"
+    )
+    case = read_case(write(tmp_path, rows))
+    kinds, normal = case.uncertainty.distributions, draws.normals(case, 20_000, 1)[:, :2]
+    per_energy = 1 / (8.314 * 308)
+    width = 1854 * per_energy
+    narrow = np.sqrt(0.724**2 + width**2 - 2 * 0.9999 * 0.724 * width)  # 0.0102
+    numpy = draws.draw(case, 20_000, 1)
+    with jax.enable_x64(True):
+        columns = zip(kinds, (26540, 4e4), normal.T)
+        traced = np.stack([drawn(kind, centre, z) for kind, centre, z in columns], 1)
+    for values in (numpy, traced):
+        logarithm = np.log(values[:, 0] / 26540) - (values[:, 1] - 4e4) * per_energy
+        assert logarithm.mean() == pytest.approx(0.0, abs=5 * narrow / np.sqrt(20_000))
+        assert logarithm.std() == pytest.approx(narrow, rel=0.03)
+    # To first order ln A and E cancel too: d ln k has the same standard deviation.
+    slope = np.array([[1 / 26540, -per_energy]])
+    assert spread(replace(case, parameters=()), slope).total[0] == pytest.approx(narrow, rel=1e-9)
+    # Half of the draws are above the fitted value, P(z > 1) above exp(s) times it.
+    assert outside(kinds[0], 26540, 0.0, 26540) == pytest.approx(0.5, abs=1e-12)
+    high = 26540 * np.exp(0.724)
+    assert outside(kinds[0], 26540, 0.0, high) == pytest.approx(0.15865525393, abs=1e-10)
+
+
 def test_a_fit_that_leaves_numbers_free_is_not_handed_on(tmp_path):
     (tmp_path / "batch.csv").write_text(data())
     case = resolve(tmp_path / "case.toml", tomllib.loads(CASE))
@@ -69,6 +101,7 @@ def test_a_fit_that_leaves_numbers_free_is_not_handed_on(tmp_path):
     [
         ("product", "main", "its entries are 0 to 1 or product, impurity"),
         ("26540.0 m3", "-26540.0 m3", "kinetics.prefactor[product] is at least 0"),
+        ("26540.0 m3", "0.0 m3", "a number fitted as its logarithm must be above 0"),
         ("true", "yes", "it must be true or false"),
         ("1.0 0.5\n", "1.0\n", "must be 2 numbers"),
         ("1.0 0.5\n", "1.0 0.7\n", "not a correlation matrix"),

@@ -15,6 +15,7 @@ from tests.domains.pharma.process_cases import (
     constant,
     crystalliser,
     feed,
+    number,
     potassium_nitrate,
     series,
 )
@@ -107,6 +108,59 @@ def test_antisolvent_crystalliser_closes():
     assert max(abs(row.relative) for row in balances(process)) < 1e-10
     streams = process.run().streams
     assert streams[f"{name}.slurry"].antisolvent == pytest.approx(7200e-6 * 887.6, rel=1e-9)
+
+
+def two_in_a_row(second, antisolvent):
+    """An anti-solvent crystalliser, whose slurry a `second` one without dosing keeps as warm."""
+    lower = series("first.antisolvent", antisolvent)
+    first = crystalliser(
+        "first",
+        temperature=constant("first.temperature", 313.15),
+        dosing=constant("first.dosing", 1e-6, "m3/s"),
+    )
+    first = replace(first, solubility=replace(first.solubility, antisolvent=lower))
+    second = crystalliser("second", temperature=constant("second.temperature", 313.15), **second)
+    lower = replace(lower, name="second.antisolvent")
+    second = replace(second, solubility=replace(second.solubility, antisolvent=lower))
+    water = replace(
+        feed((0.0,) * 4, volume=0.0072, name="water"), solvent=number("water.solvent", 1000.0)
+    )
+    lines = [("charge", "", "first", "feed"), ("water", "", "first", "antisolvent")]
+    lines = [Connection(*line) for line in (*lines, ("first", "slurry", "second", "feed"))]
+    names = [f"{unit}.{name}" for unit in ("first", "second") for name in MEASURED]
+    measures = [attribute(name, name) for name in names]
+    charge = feed((0.0, 0.0, 0.2, 0.0))
+    return PharmaProcess(case((charge, water), (first, second), tuple(lines), measures)).values()
+
+
+MEASURED = ("supersaturation", "concentration")
+
+
+def test_antisolvent_of_an_earlier_unit_lowers_the_solubility():
+    """Where nothing grows the liquid stays as it came, and so does its supersaturation."""
+    kinetics = crystalliser("second").kinetics
+    at_rest = {
+        name: replace(getattr(kinetics, name), values=np.zeros(1))
+        for name in ("growth", "primary", "secondary")
+    }
+    still = {"kinetics": replace(kinetics, **at_rest)}
+    s1, c1, s2, c2 = two_in_a_row(still, [-3.0, 0.5])
+    w = 7.2 / (7.2 + 0.06 * 887.6)
+    saturated = (226.9 - 1.88 * 313.15 + 3.89e-3 * 313.15**2) * np.exp(-3.0 * w + 0.5 * w**2)
+    assert s1 == pytest.approx(c1 / saturated - 1, rel=1e-9) and s1 > 0
+    assert (s2, c2) == pytest.approx((s1, c1), rel=1e-9)
+
+
+@pytest.mark.prove
+def test_antisolvent_without_a_key_dilutes_only():
+    """Crystals of the first unit go on growing for a minute in the second one; without the key of
+    the solubility the water only dilutes."""
+    minute = {"duration": number("second.duration", 60.0, "s")}
+    s1, c1, s2, c2 = two_in_a_row(minute, [-3.0, 0.5])
+    assert 0 < s2 < s1 and c2 < c1
+    s1, c1, s2, c2 = two_in_a_row(minute, [])
+    saturated = 226.9 - 1.88 * 313.15 + 3.89e-3 * 313.15**2
+    assert (s1, s2) == pytest.approx((c1 / saturated - 1, c2 / saturated - 1), rel=1e-9)
 
 
 def test_displacement_wash():

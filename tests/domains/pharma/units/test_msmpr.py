@@ -252,10 +252,18 @@ def test_nuclei_are_washed_out(usual):
     assert warm.measures["cold.supersaturation"] < 0 and warm.measures["cold.crystals"] == 0
 
 
+ANTISOLVENT = {"antisolvent": [-3.0, 0.5]}
+
+
 def test_mistakes():
     with pytest.raises(CaseError) as found:
         process(suspension_power=1.5)
     assert "units.cold.suspension_power: got 1.5; it must be a share from 0 to 1" in str(
+        found.value
+    )
+    with pytest.raises(CaseError) as found:
+        process(solubility=tomllib.loads(CASE)["units"]["cold"]["solubility"] | ANTISOLVENT)
+    assert "units.cold.solubility.antisolvent: got [-3, 0.5]; no anti-solvent can reach" in str(
         found.value
     )
     data = tomllib.loads(CASE)

@@ -235,11 +235,13 @@ def _uncertainty(case: PharmaCase) -> tuple[UncertaintyStatement, ...]:
 
 
 def _in_words(kind: Distribution | None, scale: float, unit: str) -> str:
-    """The distribution as text, "normal, 0.3 K"; the spread of a lognormal one is in per cent."""
+    """The distribution as text, "normal, 0.3 K"; a pure spread is in per cent."""
     if kind is None:
         return "held"
     if kind.kind == "lognormal":
         return f"lognormal, {100 * kind.spread:g} %"
+    if kind.kind == "logarithm":
+        return f"lognormal about the median, {100 * kind.spread:g} %"
     spread = f"{kind.spread / scale:.4g}" + ("" if unit == "1" else f" {unit}")
     return f"uniform, {spread} to either side" if kind.kind == "uniform" else f"normal, {spread}"
 

@@ -6,6 +6,7 @@ numbers, the streams made so far, the last value of every control and the last r
 sensor.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -26,7 +27,7 @@ from ..flowsheet.possible import smallest
 from ..flowsheet.stream import LedgerFinish, Stream, blank, flat, unflat
 from ..given import Form, fixed
 from ..time.dynamics import Dynamics
-from ..time.profile import values_at
+from ..time.profile import Profile, values_at
 from ..time.runge_kutta import runge_kutta
 from ..units.operation import Timed, Unit, timed
 from .policy import initial_history, reading, shifted
@@ -144,10 +145,9 @@ class Stage(Simulator):
         state = self.settle(inputs, state)
         problem = self.problem(inputs, state["streams"])
         y = problem.start
-        controls = [
-            state["control"][i] if (i := self._manipulated(profile.value.name)) >= 0 else value[0]
-            for profile, value in problem.controls
-        ]
+        controls = self.controls(
+            constants, inputs, problem, 0.0, lambda profile, i: state["control"][i]
+        )
         values = self.sensed(problem, y, controls)
         past = initial_history(values, self.history)
         observed = self.read(problem, values, past, state)
@@ -158,10 +158,9 @@ class Stage(Simulator):
         assert self.unit is not None
         inputs = self.inputs_of(constants, state["draws"])
         problem = self.problem(inputs, state["streams"])
-        endpoints = []
-        for profile, value in problem.controls:
-            i = self._manipulated(profile.value.name)
-            endpoints.append(state["control"][i] if i >= 0 else value[-1])
+        endpoints = self.controls(
+            constants, inputs, problem, 1.0, lambda profile, i: state["control"][i]
+        )
         return self.delivered(self.unit, problem.finish(state["y"], *endpoints), state)
 
     def delivered(self, unit: Unit, finish: LedgerFinish, state: StageState) -> StageState:
@@ -218,6 +217,23 @@ class Stage(Simulator):
         streams, _ = self.streams(inputs, made)
         inlets = tuple(streams[name] for name in sources(self.flowsheet)[self.unit.name])
         return self.unit.dynamics(self.flowsheet.network, inlets, inputs)
+
+    def controls(
+        self, constants, inputs, problem: Dynamics, share, decision: Callable[[Profile, int], Array]
+    ) -> list[Array]:
+        """The controls of this batch at shares of the duration. A control that is decided is its
+        `decision`, a function of its profile and its position among the `Manipulated`, plus the
+        disturbance of this batch."""
+        results = []
+        for profile, value in problem.controls:
+            name = profile.value.name
+            i = self._manipulated(name)
+            if i < 0:
+                results.append(values_at(profile, value, share))
+                continue
+            disturbance = values_at(profile, inputs[name] - constants["inputs"][name], share)
+            results.append(decision(profile, i) + disturbance)
+        return results
 
     def sensed(self, problem: Dynamics, y, controls) -> Float[Array, " M"]:
         """The states that this unit's sensors measure, now; 0 for the sensors of other units."""
@@ -283,22 +299,16 @@ class Stage(Simulator):
         count = self.control.substeps
         start = np.arange(count) / count
         part = np.stack([start, start + 0.5 / count, start + 1 / count], -1)
-        # Of a control that is decided only its disturbance is the batch's own.
-        nominal, share = constants["inputs"], now["share"] + part / self.horizon
-        trajectories, endpoints = [], []
-        for profile, value in problem.controls:
-            i = self._manipulated(profile.value.name)
-            if i >= 0:
-                # A profile of pieces jumps, unless it may not; any other moves evenly.
-                jumps = profile.kind == "constant" and self.control.manipulated[i].ramp is None
-                first = control[i] if jumps else state["control"][i]
-                trajectory = first + (control[i] - first) * part
-                name = profile.value.name
-                trajectory = trajectory + values_at(profile, inputs[name] - nominal[name], share)
-            else:
-                trajectory = values_at(profile, value, share)
-            trajectories.append(trajectory)
-            endpoints.append(trajectory[-1, 2])
+
+        def decision(profile: Profile, i: int) -> Array:
+            # A profile of pieces jumps, unless it may not; any other moves evenly.
+            jumps = profile.kind == "constant" and self.control.manipulated[i].ramp is None
+            first = control[i] if jumps else state["control"][i]
+            return first + (control[i] - first) * part
+
+        share = now["share"] + part / self.horizon
+        trajectories = self.controls(constants, inputs, problem, share, decision)
+        endpoints = [trajectory[-1, 2] for trajectory in trajectories]
         if problem.to_dose is not None:
             trajectories[-1] = trajectories[-1] * self._dosed(
                 problem, state, trajectories[-1], seconds

@@ -54,6 +54,8 @@ def drawn(distribution: Distribution, centre, z) -> Array:
         return centre + distribution.spread * z
     if distribution.kind == "lognormal":
         return centre * jnp.exp(distribution.spread * z - distribution.spread**2 / 2)
+    if distribution.kind == "logarithm":
+        return centre * jnp.exp(distribution.spread * z)
     return centre + distribution.spread * (2 * jax.scipy.special.ndtr(z) - 1)
 
 

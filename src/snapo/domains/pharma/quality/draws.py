@@ -107,16 +107,21 @@ def value(distribution: Distribution, z: np.ndarray, centre) -> np.ndarray:
             return centre + spread * z
         case "lognormal":
             return centre * np.exp(spread * z - spread**2 / 2)
+        case "logarithm":
+            return centre * np.exp(spread * z)
         case "uniform":
             return centre + spread * (2 * ndtr(z) - 1)
 
 
 def deviation(distribution: Distribution, centre: float) -> float:
-    """Standard deviation of a distribution about `centre`, in the domain's unit."""
+    """Standard deviation of a distribution about `centre`, in the domain's unit; of a number fitted
+    as its logarithm to first order, so that correlated numbers compensate each other."""
     match distribution.kind:
         case "normal":
             return distribution.spread
         case "lognormal":
             return abs(centre) * math.sqrt(math.expm1(distribution.spread**2))
+        case "logarithm":
+            return abs(centre) * distribution.spread
         case "uniform":
             return distribution.spread / math.sqrt(3)

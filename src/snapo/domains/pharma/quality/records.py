@@ -13,9 +13,11 @@ class Distribution:
     - "normal": standard deviation `spread`; "lognormal": nominal times exp(spread z - spread^2/2),
       so that the mean is the nominal; "uniform": nominal plus or minus `spread`. The unit of
       `spread` is that of the number, a pure number for "lognormal".
+    - "logarithm": nominal times exp(spread z), so that the median is the nominal; a number that was
+      fitted to data as its logarithm. A case file cannot choose it.
     """
 
-    kind: Literal["normal", "lognormal", "uniform"]
+    kind: Literal["normal", "lognormal", "uniform", "logarithm"]
     spread: float
 
 

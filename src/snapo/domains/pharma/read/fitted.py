@@ -28,7 +28,8 @@ class FittedRows(NamedTuple):
 def read_fitted(file, name: str | None, numbers: EntryNumbers, notes: list[str]) -> FittedRows:
     """Replaces the case's numbers by the fitted values, and returns the uncertainty of these.
 
-    A number that was fitted as its logarithm is lognormal; all others are normal.
+    The logarithm of a number that was fitted as its logarithm is normal about that of the fitted
+    value; all other numbers are normal.
     """
     entries: list[Entry] = []
     distributions: list[Distribution] = []
@@ -47,11 +48,13 @@ def read_fitted(file, name: str | None, numbers: EntryNumbers, notes: list[str])
         if row.cells["logarithm"] not in ("true", "false"):
             raise row.error("logarithm", "it must be true or false")
         log = row.cells["logarithm"] == "true"
+        if log and value <= 0:
+            raise row.error("value", "a number fitted as its logarithm must be above 0")
         text, local = row.cells["deviation"], "1" if log else unit
         spread = quantity(line, "deviation", text, local, NOT_NEGATIVE, difference=True)
         # Nothing has read the number yet: all later uses are of the fitted one.
         numbers.givens[entry[0]].values[entry[1]] = value
-        distribution = Distribution("lognormal" if log else "normal", spread)
+        distribution = Distribution("logarithm" if log else "normal", spread)
         if spread > 0:
             check_drawn(TableContext(file, "fitted", notes), text, distribution, numbers, entry)
         entries.append(entry)

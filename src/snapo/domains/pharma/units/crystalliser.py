@@ -236,12 +236,12 @@ class Crystalliser(Timed):
             moments, size = scaled(y)
             mu3, size = moments[3] * units[3], size - taken(moments[3])
             solute_amount = dissolved + weight * units[3] * (first - moments[3])
-            if dose is None:
-                return solute_amount / size, 1.0, mu3
-            other = (feed.antisolvent + y[-1] * volume * dose.solvent / dose.volume) / volume
-            fraction = other / (other + feed.solvent / volume)
-            factor = antisolvent_factor(self.solubility, inputs, fraction)
-            return (solute_amount + y[-1] * dosed_solute) / size, factor, mu3
+            other = feed.antisolvent
+            if dose is not None:
+                solute_amount = solute_amount + y[-1] * dosed_solute
+                other = other + y[-1] * volume * dose.solvent / dose.volume
+            factor = antisolvent_factor(self.solubility, inputs, other, feed.solvent)
+            return solute_amount / size, factor, mu3
 
         def supersaturation(y, saturated):
             c, factor, _ = liquid(y)

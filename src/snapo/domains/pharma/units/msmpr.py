@@ -22,7 +22,7 @@ from typing import Any, ClassVar, Literal, NamedTuple
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.case.table import doc, subtable
+from snapo.case.table import TableContext, doc, subtable
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 
 from ..flowsheet.stream import MOMENTS, NO_CRYSTALS, Grid, LedgerFinish, Sizes, ledger
@@ -119,6 +119,12 @@ class Msmpr(Instant):
     def read(cls, read, species):
         sized = read.table.sizes is not None
         edges = read_edges(read.inner("sizes", SizesTable)) if sized else None
+        raw = read.raw["solubility"].get("antisolvent")
+        if raw is not None:
+            name = f"{read.section.name}.solubility"
+            message = "no anti-solvent can reach a continuous crystalliser; remove this key"
+            section = TableContext(read.section.file, name, read.section.notes)
+            raise section.error("antisolvent", raw, message)
         return cls(name=read.name, edges=edges, **values(cls, read, species))
 
     @property

@@ -365,9 +365,10 @@ def outside(distribution: Distribution, centre: float, low: float, high: float) 
                 return normal((x - centre) / spread)
             case "uniform":
                 return min(1.0, max(0.0, ((x - centre) / spread + 1) / 2))
-            case "lognormal":
+            case "lognormal" | "logarithm":
                 if x <= 0 or x < 1e-300:
                     return 0.0
-                return normal((math.log(x / centre) + spread**2 / 2) / spread)
+                median = -(spread**2) / 2 if distribution.kind == "lognormal" else 0.0
+                return normal((math.log(x / centre) - median) / spread)
 
     return below(low) + 1 - below(high)

@@ -383,7 +383,12 @@ def nominal_solubility(record: Solubility, temperature: np.ndarray) -> np.ndarra
     return np.exp(polyval) if record.kind == "exponential" else polyval
 
 
-def antisolvent_factor(record: Solubility, inputs: dict[str, Any], fraction) -> Array:
-    """exp(b1 w + b2 w^2) at the anti-solvent's mass fraction w of the solute-free liquid."""
+def antisolvent_factor(record: Solubility, inputs: dict[str, Any], other, solvent) -> Array:
+    """exp(b1 w + b2 w^2) at the mass fraction w of the solute-free liquid, which is `other` kg of
+    anti-solvent and `solvent` kg; 1 if the case has no b1 and b2."""
+    if not record.antisolvent.index.size:
+        return jnp.ones(())
     b1, b2 = use(inputs, record.antisolvent)
+    total = other + solvent
+    fraction = other / jnp.where(total > 0, total, 1.0)
     return jnp.exp(b1 * fraction + b2 * fraction**2)
