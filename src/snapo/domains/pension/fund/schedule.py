@@ -76,7 +76,8 @@ class Period(NamedTuple):
 def make_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
     payment_nodes = nodes(case.step)
-    result = people(case, inputs, basis_log_bond(case, inputs))
+    without_curve = None if case.scenarios is None else basis_log_bond(case, inputs, curve=False)
+    result = people(case, inputs, basis_log_bond(case, inputs), without_curve)
     if limited(case):
         result = result._replace(lpi=lpi(case, inputs, payment_nodes))
     terms, steps, shape = market_schedule(case, inputs, payment_nodes)
@@ -142,13 +143,17 @@ def _swaps(case: PensionModel, inputs: dict[str, Any], payment_nodes: np.ndarray
     )
 
 
-def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
+def basis_log_bond(
+    case: PensionModel, inputs: dict[str, Any], *, curve: bool = True
+) -> Float[Array, " H"]:
     """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
 
     H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is that of `Liability`. Payments that
     follow prices are multiplied by the expected index; if increases have a cap and a floor, by the
-    value of the options in them. Under ready-made scenarios the curve is that of the path, so the
-    result contains only the addition to the curve.
+    value of the options in them.
+
+    **Arguments:** - `curve`: False leaves out the curve, for values that each path of ready-made
+    scenarios discounts on a curve of its own.
     """
     basis, years = case.liability, payment_years(case)
     added = xp.zeros(len(years))
@@ -159,7 +164,7 @@ def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "
     if basis.basis == "fixed":
         return added
     result = added
-    if case.scenarios is None:
+    if curve:
         result = result + log_bond(case.curve, inputs, years)
     if basis.future_indexation == "full":
         result = result - log_bond(case.inflation.break_even, inputs, years)

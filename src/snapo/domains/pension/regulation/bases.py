@@ -96,10 +96,8 @@ class Due(NamedTuple):
 
 
 def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
-    """The expected payments, discounted on the basis of the case; scenarios that are supplied have
-    no effect. They include the expected increases of a limited indexation."""
-    case = replace(case, scenarios=None)
-
+    """The expected payments, discounted on the basis of the case. They include the expected
+    increases of a limited indexation."""
     flow, discount = with_numpy(payments)(case, inputs)
     steps = paid_at(case, np.arange(len(flow)))
     if limited(case):

@@ -1,6 +1,5 @@
 """Members and liability by status, and the fund's payments of today, in money per year."""
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -87,7 +86,7 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[StatusGroup]:
 
 def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
     """[C] the liability of rights earned by now, to every cohort and its spouses."""
-    members, case = case.members, replace(case, scenarios=None)
+    members = case.members
     bond = basis_log_bond(case, inputs)
     streams = project(case, inputs, bond).streams
     assert streams is not None and members is not None
@@ -99,7 +98,6 @@ def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
 
 def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
     """The payments of today; `liability` is that of the case."""
-    case = replace(case, scenarios=None)
     numbers = with_numpy(_pace)(case, inputs, liability)
     return Pace(*map(float, numbers))
 
