@@ -84,7 +84,9 @@ def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
     """A deficit that no contribution will ever close."""
     paid = case.plan.contribution
     target = float(paid.target_ratio.used()) if paid.kind == "target" else 1.0
-    if human.funding is None or human.funding >= target or paid.schedule is not None:
+    if case.pots is not None or paid.schedule is not None:  # pots have no deficit
+        return
+    if human.funding is None or human.funding >= target:
         return
     closed = not _has_salaries(case)
     responds = CONTRIBUTIONS[paid.kind].responds
