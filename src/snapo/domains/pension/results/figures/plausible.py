@@ -9,7 +9,8 @@ import numpy as np
 
 from snapo.problem.record.either import with_numpy
 
-from ...fund.contributions import CONTRIBUTIONS, log_discount
+from ...fund.contributions import CONTRIBUTIONS
+from ...fund.schedule import log_discount
 from ...records.case import PensionCase
 from ...records.inputs import every_given
 from ...records.people import ACTIVE

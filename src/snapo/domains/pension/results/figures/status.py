@@ -8,9 +8,8 @@ from snapo.problem.record.arrays import Array
 from snapo.problem.record.either import added, with_numpy, xp
 from snapo.problem.smooth import Exact
 
-from ...fund.contributions import annuity
 from ...fund.plan import contribution, indexation
-from ...fund.schedule import agreed, basis_log_bond
+from ...fund.schedule import agreed, annuity, basis_log_bond
 from ...fund.terms import plan_terms
 from ...market.curve import log_bond
 from ...people.cash_flows import horizon, project, reserved
