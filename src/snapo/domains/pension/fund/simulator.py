@@ -121,6 +121,11 @@ class PensionSimulator(Simulator):
     def initial(self, constants: FundTerms, noise) -> FundState:
         return opening(constants)
 
+    def payments_near(self, constants: FundTerms, now: Period, state: FundState):
+        """The value [b] before a step of the payments that are nearest to each swap, in money."""
+        books = balance(self.model, constants, now.people, now.shape, state)
+        return constants.swaps.nearest @ books.by_node  # pyright: ignore[reportOptionalMemberAccess]
+
     def observe(
         self, constants: FundTerms, now: Period, state: FundState
     ) -> Float[Array, " features"]:
