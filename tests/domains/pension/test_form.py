@@ -13,11 +13,12 @@ from tests.domains.same_form import PAIRS, same_programs
 from snapo.case.given import CaseInput
 from snapo.case.settings import EvaluationTable, ObjectiveTable, TrainingTable
 from snapo.domains.pension.market.assets.bond import Bond, CouponBond
+from snapo.domains.pension.pots.simulator import simulator_of
 from snapo.domains.pension.records.assets import AssetGroup
 from snapo.domains.pension.records.case import ObjectiveTerm, PensionCase
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability, Revaluation
-from snapo.domains.pension.results.setup import make_setup, setup_at, simulator_of
+from snapo.domains.pension.results.setup import make_setup, setup_at
 from snapo.engine.native.call import _runners
 from snapo.problem.problem import Problem
 from snapo.solver.learning.optimiser import schedule

@@ -6,10 +6,12 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.domains.pension.market_cases import cash_flows, full
+from tests.domains.pension.market_cases import CASH, assets, cash_flows, full
+from tests.domains.pension.market_cases import case as hand_case
 from tests.domains.pension.market_cases import plan as hand_plan
 from tests.domains.pension.people_cases import contributing, given, indexing, people_case, plan
 
+from snapo.domains.pension.fund.books import balance, opening
 from snapo.domains.pension.fund.contributions import CONTRIBUTIONS
 from snapo.domains.pension.fund.increases import INCREASES
 from snapo.domains.pension.fund.plan import contribution, indexation, indexation_flags
@@ -18,6 +20,7 @@ from snapo.domains.pension.fund.terms import plan_terms
 from snapo.domains.pension.policies.classical import ConstantMix
 from snapo.domains.pension.read.tables_people import ContributionTable, IndexationTable
 from snapo.domains.pension.records.inputs import pension_inputs
+from snapo.domains.pension.records.market import SuppliedScenarios
 from snapo.domains.pension.records.plan import CashPlan
 from snapo.engine import Xla
 from snapo.engine.native import Native
@@ -197,3 +200,27 @@ def test_payments_agreed_in_money_are_paid_on_top_whatever_the_limits(engine):
     )
     paid = np.asarray(made.record["outputs"]["contribution"])
     assert paid[:, 0] == pytest.approx([0, 7, 0, 0, 5, 0])
+
+
+def test_the_value_of_an_accrual_on_ready_made_paths_is_the_normal_cost():
+    """5 at 2 %, discounted once; and by hand the share of the second accrual in the value of two,
+    when the first payment of one has been made."""
+    table = np.zeros((1, 2, 5))
+    columns = ("return Cash", "inflation", "wage", "zero 1", "zero 10")
+    one = hand_case(
+        2,
+        step=1.0,
+        held_assets=assets(2, [CASH], weight=[1.0]),
+        flows=cash_flows([40.0, 45.0, 400.0], [1, 2, 15], normal_cost=5.0),
+        plan=hand_plan(accruing=True),
+        scenarios=SuppliedScenarios(table, table, columns, np.array([1.0, 10.0])),
+    )
+    simulator = PensionSimulator.of(one)
+    schedule = prepare(simulator, pension_inputs(one))
+    terms, steps = schedule.constants, schedule.steps
+    people = jax.tree.map(lambda rows: rows[0], steps.people)
+    books = balance(simulator.model, terms, people, steps.shape[0], opening(terms))
+    assert float(books.accrual) == pytest.approx(5.0, rel=1e-6)
+    v = np.exp(-0.02)
+    first, second = 45 * v + 400 * v**14, 40 * v + 45 * v**2 + 400 * v**15
+    assert steps.people.mix == pytest.approx([1, second / (first + second)], rel=1e-6)

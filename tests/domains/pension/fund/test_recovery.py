@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from types import SimpleNamespace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -16,17 +17,24 @@ from tests.domains.pension.market_cases import (
     plan,
 )  # fmt: skip
 
+from snapo.domains.pension.fund.schedule import annuity
 from snapo.domains.pension.fund.simulator import PensionSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
 from snapo.domains.pension.results.figures.plausible import remarks
 from snapo.engine.native import Native
+from snapo.problem.inputs import plain
 from snapo.problem.policies.rules import Constant
 from snapo.problem.problem import prepare
+from snapo.problem.record.either import with_numpy
 from snapo.problem.scenarios import Pseudo
 from snapo.problem.smooth import Exact
 
 RATE, YEARS, OWED = 0.0677, 5, 100.0
+BEHIND: Any = SimpleNamespace(
+    funding=0.8, liability=100.0, duration=30.0, hedge_ratio=None,
+    rate={}, rate_volatility={}, returns={},
+)  # fmt: skip
 
 
 def fund(timing: str, horizon: int, years: float = YEARS, level: bool = True):
@@ -77,15 +85,36 @@ def test_a_share_of_what_is_left_can_be_less_than_its_interest():
     assert growth > 1
     assert left == pytest.approx(20 * growth**7, rel=1e-6)
     assert paid[0] == pytest.approx(20 / 15, rel=1e-6)
-    seen = SimpleNamespace(
-        funding=0.8, liability=100.0, duration=30.0, hedge_ratio=None,
-        rate={}, rate_volatility={}, returns={},
-    )  # fmt: skip
-    (note,) = remarks(one, seen)  # pyright: ignore[reportArgumentType]
+    (note,) = remarks(one, BEHIND)
     assert "bears interest of 7.0% a year" in note and 'recovery = "level"' in note
     for closing in (fund("arrears", 7, 10.0, level=False), fund("arrears", 7, 15.0)):
-        assert remarks(closing, seen) == []  # pyright: ignore[reportArgumentType]
+        assert remarks(closing, BEHIND) == []
     # The curve plus a spread is what the gap earns in a valuation on that basis.
     dear = Liability("spread", given("liability_rate", 0.04), "none")
-    (note,) = remarks(replace(fund("arrears", 7, 10.0, False), liability=dear), seen)  # pyright: ignore
+    (note,) = remarks(replace(fund("arrears", 7, 10.0, False), liability=dear), BEHIND)
     assert "11.4% a year" in note
+
+
+@pytest.mark.parametrize("basis", ["fixed", "spread"])
+def test_level_payments_have_the_compounding_of_the_valuation(basis):
+    """A rate of 5 % a year, or 2 % over an annual curve of 3 %: five payments in arrears; the note
+    on a rolling share states the annual rate. Beyond all payments a period may also end."""
+    rate = {"fixed": 0.05, "spread": 0.02}[basis]
+    one = replace(
+        fund("arrears", 7),
+        curve=curve("zero_rate", [1.0, 60.0], [np.log(1.03)] * 2),
+        liability=Liability(basis, given("liability_rate", rate), "none", True),
+    )
+    level = with_numpy(annuity)(one, {})
+    assert level is not None
+    assert level[0] == pytest.approx((1 - 1.05**-5) / 0.05, rel=1e-12)
+    assert level[4] == pytest.approx(1 / 1.05, rel=1e-12)
+    rolling = fund("arrears", 7, 25.0, level=False).plan
+    (note,) = remarks(replace(one, plan=rolling), BEHIND)
+    assert "bears interest of 5.0% a year" in note
+    rule = replace(one.plan.contribution, level_steps=120)
+    longest = replace(one, plan=replace(one.plan, contribution=rule))
+    model = PensionSimulator.of(longest).model
+    level = with_numpy(annuity)(model, plain(pension_inputs(longest)))
+    assert level is not None
+    assert level[0] == pytest.approx((1 - 1.05**-120) / 0.05, rel=1e-6)  # float32

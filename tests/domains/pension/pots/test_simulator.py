@@ -13,6 +13,7 @@ from tests.domains.pension.market_cases import given
 from tests.domains.pension.people_cases import members
 from tests.domains.pension.pots_cases import STEPS, fund, pots
 
+from snapo.domains.pension.policies.allocation import limit_unit, notionals
 from snapo.domains.pension.pots.simulator import PotSimulator
 from snapo.domains.pension.records.inputs import pension_inputs
 from snapo.domains.pension.records.plan import Liability
@@ -41,7 +42,7 @@ def rolled(case, paths=6, actions=None):
             now = jax.tree.map(lambda a, t=t: a[t], steps)
             action = rng.dirichlet(np.ones(3), paths)
             if actions is not None:
-                action = np.broadcast_to(actions, action.shape)
+                action = np.broadcast_to(actions, (paths, len(actions)))
             noise = rng.normal(size=(paths, simulator.noise_size))
             state, outputs = step(now, states[-1], action, noise)
             states.append(state)
@@ -214,3 +215,19 @@ def alone(timing):
     case = fund(steps=8, step=1.0, people=people, timing=timing, rate=0.0)
     none = {"reserve": 0.0, "fill_contribution": 0.0, "fill_return": 0.0}
     return replace(case, pots=pots(case, [0.7], [1.3], **none))
+
+
+def test_limits_of_swaps_are_shares_of_the_payments_that_pots_pay_for():
+    """All payments are nearest to one of two swaps, and worth the pots: 90 % of 8,000. The first
+    step trades the notionals that these limits imply."""
+    overlay = market_cases.full(1).overlay
+    assert overlay is not None
+    overlay = replace(overlay, zero_coupon=(), leverage=given("overlay_leverage", 1.0))
+    case = fund(steps=1, overlay=overlay)
+    values = limit_unit(case)
+    assert values.sum() == pytest.approx(7200, rel=1e-6)
+    assert values.min() > 700
+    positions = np.array([0.3, 0.6])
+    states, _, _ = rolled(case, 2, np.array([0.2, 0.5, 0.3, *positions]))
+    traded = states.fund.overlay[1] * states.fund.assets[1][:, None]
+    assert traded == pytest.approx(np.tile(notionals(case, positions, values), (2, 1)), rel=1e-6)

@@ -83,7 +83,8 @@ MODES = {
         BASE | {"pots": CASES["personal pots"]["pots"]},
         ((RULES | NESTED | OF_FLOWS | FORMULA) - {"plan.indexation.month"})
         | {"plan.accruing", "plan.accrual_rate", "plan.indexation.cut_years",
-           "plan.revaluation.deferred", "plan.revaluation.active", "liability.expense_loading"},
+           "plan.revaluation.deferred", "plan.revaluation.active", "liability.expense_loading",
+           "plan.contribution.schedule"},
     ),
     "conditional increases": (
         BASE | plan(indexation={"kind": "conditional"}),

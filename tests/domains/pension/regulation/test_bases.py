@@ -6,12 +6,28 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.domains.pension.market_cases import CASH, assets, case, given
+from tests.domains.pension.market_cases import (
+    CASH,
+    assets,
+    case,
+    cash_flows,
+    curve,
+    given,
+    inflation,
+    plan,
+)
 
 from snapo.case.error import CaseError
 from snapo.domains.pension.read.cells import TableReader
 from snapo.domains.pension.read.tables import FundingTable
-from snapo.domains.pension.regulation.bases import Due, discounted, read_funding, side_by_side
+from snapo.domains.pension.records.plan import Liability
+from snapo.domains.pension.regulation.bases import (
+    Due,
+    bases,
+    discounted,
+    read_funding,
+    side_by_side,
+)
 
 DAY = datetime.date(2024, 12, 31)
 
@@ -64,6 +80,24 @@ def test_the_recovery_plan_is_worth_the_deficit():
     worth = at[1] + at[2] + 0.5 * (at[2] + at[3]) / 2
     assert part.payment == pytest.approx(found.deficit / worth, rel=1e-12)
     assert part.total == pytest.approx(2.5 * part.payment)
+
+
+def test_payments_of_a_recovery_plan_are_money_if_pensions_follow_prices():
+    """Gilts at 4 %, prices at 3 %, all continuous, a margin of 1 % over real rates: an amount of
+    money is discounted at (exp(0.01) + 0.01) exp(0.03), the pension at exp(0.01) + 0.01."""
+    one = replace(
+        scheme(),
+        curve=curve("zero_rate", [1.0, 60.0], [0.04, 0.04]),
+        inflation=inflation(1, curve("break_even", [1.0, 60.0], [0.03, 0.03])),
+        liability=Liability("risk-free", given("liability_rate", 0.0), "full"),
+        cash_flows=cash_flows([150.0], [20]),
+        plan=plan("advance"),
+    )
+    found = bases(one, {}).recovery
+    real = np.exp(0.01) + 0.01
+    assert found.deficit == pytest.approx(150 * real**-20 - 80, rel=1e-12)
+    money = (real * np.exp(0.03)) ** -np.arange(1.0, 7.0)
+    assert found.payment * money.sum() == pytest.approx(found.deficit, rel=1e-12)
 
 
 def test_rules_have_a_date():

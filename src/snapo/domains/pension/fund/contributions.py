@@ -7,17 +7,12 @@ assets and liability earn these rates, payments are level and the gap is closed 
 period.
 """
 
-from typing import Any, ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple
 
-import numpy as np
-
-from snapo.problem.record.arrays import Array, Float
+from snapo.problem.record.arrays import Array
 from snapo.problem.record.either import xp
 from snapo.problem.smooth import Constraints
 
-from ..market.curve import log_bond
-from ..records.case import PensionModel
-from ..records.inputs import use
 from .terms import PlanTerms
 
 
@@ -115,29 +110,3 @@ CONTRIBUTIONS: dict[str, ContributionRule] = {
         TargetContribution(),
     )
 }
-
-
-def log_discount(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:
-    """The logarithms [n] of the discount factors of money at times `years`, on the basis of the
-    valuation."""
-    basis = case.liability
-    added = 0.0 if basis.basis == "risk-free" else -use(inputs, basis.rate) * years
-    if basis.basis != "fixed":
-        return log_bond(case.curve, inputs, years) + added
-    if basis.future_indexation == "full":  # a real rate
-        added = added + log_bond(case.inflation.break_even, inputs, years)
-    return xp.asarray(added)
-
-
-def annuity(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
-    """The value at each step of 1 a year until the end of the recovery period, [T]; None without
-    level payments."""
-    period = case.plan.contribution.level_steps
-    if period is None:
-        return None
-    now = np.arange(case.steps)
-    end = now + period - now % period
-    discount = xp.exp(log_discount(case, inputs, np.arange(end[-1] + 1) * case.step))
-    paid = xp.concatenate([xp.zeros(1), xp.cumsum(discount)])
-    first = 0 if case.plan.timing == "advance" else 1
-    return case.step * (paid[end + first] - paid[now + first]) / discount[now]

@@ -17,7 +17,6 @@ from ..records.case import PensionModel, Scales
 from ..records.inputs import use
 from ..records.people import PAYMENT_YEARS
 from .collateral import Stress, stress
-from .contributions import annuity
 from .plan import indexation_flags
 from .terms import PlanTerms, TradingLimits, plan_terms, scales, trading_limits
 
@@ -61,7 +60,7 @@ class FundTerms(NamedTuple):
 class Period(NamedTuple):
     """One step, the same for all paths: people at its start, the curve's `shape` [J] at the payment
     nodes, flags of indexation, `time` as a share of the horizon; `agreed`: the contributions agreed
-    in money, None if there are none; `annuity`: see `contributions.annuity`."""
+    in money, None if there are none; `annuity`: that of `annuity`."""
 
     market: MarketSteps
     people: People
@@ -76,7 +75,8 @@ class Period(NamedTuple):
 def make_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
     payment_nodes = nodes(case.step)
-    result = people(case, inputs, basis_log_bond(case, inputs))
+    without_curve = None if case.scenarios is None else basis_log_bond(case, inputs, curve=False)
+    result = people(case, inputs, basis_log_bond(case, inputs), without_curve)
     if limited(case):
         result = result._replace(lpi=lpi(case, inputs, payment_nodes))
     terms, steps, shape = market_schedule(case, inputs, payment_nodes)
@@ -142,13 +142,17 @@ def _swaps(case: PensionModel, inputs: dict[str, Any], payment_nodes: np.ndarray
     )
 
 
-def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " H"]:
+def basis_log_bond(
+    case: PensionModel, inputs: dict[str, Any], *, curve: bool = True
+) -> Float[Array, " H"]:
     """ln of the discount factor at time 0 of a payment at time s * step, s = 0 ... H.
 
     H is `steps` plus the steps of `PAYMENT_YEARS`. The basis is that of `Liability`. Payments that
     follow prices are multiplied by the expected index; if increases have a cap and a floor, by the
-    value of the options in them. Under ready-made scenarios the curve is that of the path, so the
-    result contains only the addition to the curve.
+    value of the options in them.
+
+    **Arguments:** - `curve`: False leaves out the curve, for values that each path of ready-made
+    scenarios discounts on a curve of its own.
     """
     basis, years = case.liability, payment_years(case)
     added = xp.zeros(len(years))
@@ -159,16 +163,49 @@ def basis_log_bond(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, "
     if basis.basis == "fixed":
         return added
     result = added
-    if case.scenarios is None:
+    if curve:
         result = result + log_bond(case.curve, inputs, years)
     if basis.future_indexation == "full":
         result = result - log_bond(case.inflation.break_even, inputs, years)
     return result
 
 
+def log_discount(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:
+    """The logarithms [n] of the discount factors of money at times `years`, on the basis of the
+    valuation."""
+    basis, result = case.liability, xp.zeros(len(years))
+    if basis.basis != "risk-free":
+        result = -added_rate(case, inputs, years) * years
+    if basis.basis != "fixed":
+        return log_bond(case.curve, inputs, years) + result
+    if basis.future_indexation == "full":  # a real rate
+        result = result + log_bond(case.inflation.break_even, inputs, years)
+    return result
+
+
+def annuity(case: PensionModel, inputs: dict[str, Any]) -> Float[Array, " T"] | None:
+    """The value at each step of 1 a year until the end of the recovery period, [T]; None without
+    level payments (see `contributions`)."""
+    period = case.plan.contribution.level_steps
+    if period is None:
+        return None
+    now = np.arange(case.steps)
+    end = now + period - now % period
+    discount = xp.exp(log_discount(case, inputs, np.arange(end[-1] + 1) * case.step))
+    paid = xp.concatenate([xp.zeros(1), xp.cumsum(discount)])
+    first = 0 if case.plan.timing == "advance" else 1
+    return case.step * (paid[end + first] - paid[now + first]) / discount[now]
+
+
 def payment_years(case: PensionModel) -> np.ndarray:
     """The times of payments, in years."""
     return np.arange(case.steps + round(PAYMENT_YEARS / case.step) + 1) * case.step
+
+
+def valued_years(case: PensionModel) -> np.ndarray:
+    """The times of payments, and of the level payments of a longer recovery period, in years."""
+    longest = max(round(PAYMENT_YEARS / case.step), case.plan.contribution.level_steps or 0)
+    return np.arange(case.steps + longest + 1) * case.step
 
 
 def added_rate(case: PensionModel, inputs: dict[str, Any], years: np.ndarray) -> Array:

@@ -30,7 +30,7 @@ from .books import MINIMUM, FundBalance, FundState, balance, opening
 from .collateral import eligible
 from .observation import observe
 from .plan import contribution, indexation
-from .schedule import FundTerms, Period, annual_bond, make_schedule, payment_years
+from .schedule import FundTerms, Period, annual_bond, make_schedule, valued_years
 from .terms import scales
 from .trading import Holdings, drifted, trade
 
@@ -80,7 +80,7 @@ def derived(case: PensionCase) -> DerivedNumbers:
         scales(case),
         np.asarray(factor_width(case)),
         divided(case),
-        annual_bond(case, payment_years(case)) if spread else None,
+        annual_bond(case, valued_years(case)) if spread else None,
     )
 
 
@@ -120,6 +120,11 @@ class PensionSimulator(Simulator):
 
     def initial(self, constants: FundTerms, noise) -> FundState:
         return opening(constants)
+
+    def payments_near(self, constants: FundTerms, now: Period, state: FundState):
+        """The value [b] before a step of the payments that are nearest to each swap, in money."""
+        books = balance(self.model, constants, now.people, now.shape, state)
+        return constants.swaps.nearest @ books.by_node  # pyright: ignore[reportOptionalMemberAccess]
 
     def observe(
         self, constants: FundTerms, now: Period, state: FundState

@@ -131,11 +131,21 @@ def nodes(step: float) -> np.ndarray:
     return np.union1d([1, 3, 6, 18], years * item)
 
 
-def people(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " H"]) -> People:
+def people(
+    case: PensionModel,
+    inputs: dict[str, Any],
+    log_bond: Float[Array, " H"],
+    without_curve: Float[Array, " H"] | None = None,
+) -> People:
     """Cash flows as weights on the nodes, for every time.
 
-    **Arguments:** - `log_bond`: the logarithm of the discount factor at time 0 of a payment at time
-    s * step, basis included, s = 0 ... T + `PAYMENT_YEARS` / step.
+    **Arguments:**
+
+    - `log_bond`: the logarithm of the discount factor at time 0 of a payment at time s * step,
+      basis included, s = 0 ... T + `PAYMENT_YEARS` / step.
+    - `without_curve`: under ready-made scenarios, the part of it other than the curve. Forward
+      values then contain only this part, because each path discounts them on its own curve; shares
+      and means still use `log_bond`.
     """
     steps, result = case.steps, project(case, inputs, log_bond)
     growth = use(inputs, case.inflation.real_wage_growth) * case.step
@@ -145,14 +155,14 @@ def people(case: PensionModel, inputs: dict[str, Any], log_bond: Float[Array, " 
     fresh = xp.concatenate([xp.zeros((1, by_step.shape[1])), xp.cumsum(by_step, axis=0)])
     discount = forward_discount(case, log_bond)
     complete = reserved(case, inputs)
-    accrued_value = complete * on_nodes(case, result.accrued, discount)
+    forward = discount if without_curve is None else forward_discount(case, without_curve)
     fresh_value = complete * on_nodes(case, fresh, discount)
     deaths = longevity(case, inputs, result, log_bond)
     here = np.arange(steps + 1)
     return People(
-        accrued=accrued_value,
-        fresh=fresh_value,
-        accrual=_with_row(complete * on_nodes(case, result.fresh, discount[:steps])),
+        accrued=complete * on_nodes(case, result.accrued, forward),
+        fresh=fresh_value if without_curve is None else complete * on_nodes(case, fresh, forward),
+        accrual=_with_row(complete * on_nodes(case, result.fresh, forward[:steps])),
         benefit=result.accrued[: steps + 1],
         fresh_benefit=fresh[here, here],
         payroll=result.payroll,

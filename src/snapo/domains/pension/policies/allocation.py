@@ -13,13 +13,12 @@ from jaxtyping import Array, Float
 from snapo.problem.inputs import Frozen
 from snapo.problem.policy import Network, Policy, as_observation
 from snapo.problem.problem import prepare
-from snapo.problem.simulator import Schedule, Simulator, probe
+from snapo.problem.simulator import Schedule, Simulator, at, probe
 from snapo.problem.smooth import EXACT
 
-from ..fund.books import balance, opening
 from ..fund.collateral import stressed
-from ..fund.simulator import PensionSimulator
 from ..fund.trading import SHARE
+from ..pots.simulator import simulator_of
 from ..records.case import PensionCase
 from ..records.inputs import pension_inputs
 
@@ -205,13 +204,13 @@ def notionals(case: PensionCase, positions: np.ndarray, values: np.ndarray) -> n
 
 def limit_unit(case: PensionCase) -> np.ndarray:
     """The amounts of money today [b] of which the limits of swaps are shares: all assets, or the
-    value of the liability payments nearest to each bucket."""
+    value of the payments nearest to each bucket, which for personal pots are those that the pots
+    pay for."""
     if case.overlay is None or case.overlay.unit == "assets":
         return np.full(case.buckets, float(case.assets.amount.used()))
-    simulator = PensionSimulator.of(case)
+    simulator = simulator_of(case)
     schedule = prepare(simulator, pension_inputs(case))
-    terms, steps = schedule.constants, schedule.steps
-    people = jax.tree.map(lambda rows: rows[0], steps.people)
+    terms, now = schedule.constants, at(schedule.steps, 0)
     with jax.enable_x64(True):
-        books = balance(simulator.model, terms, people, steps.shape[0], opening(terms))
-        return np.asarray(terms.swaps.nearest @ books.by_node)
+        state = simulator.initial(terms, jnp.zeros(simulator.initial_noise_size))
+        return np.asarray(simulator.payments_near(terms, now, state))

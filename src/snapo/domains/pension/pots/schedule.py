@@ -37,7 +37,8 @@ class Cohorts(NamedTuple):
 
 
 def cohorts(case: PensionModel, inputs: dict[str, Any], log_bond: Array) -> Cohorts:
-    """The cohorts of a case; `log_bond` as in `people.liability.people`."""
+    """The cohorts of a case. `log_bond` as in `people.liability.people`, under ready-made scenarios
+    without the curve."""
     streams = project(case, inputs, log_bond).streams
     assert streams is not None
     assert case.members is not None
@@ -116,7 +117,8 @@ def pot_schedule(case: PensionModel, inputs: dict[str, Any]) -> Schedule:
     """All numbers that do not depend on the path."""
     fund, values = make_schedule(case, inputs), pots_of(case)
     terms, steps = fund.constants, fund.steps
-    people = cohorts(case, inputs, basis_log_bond(case, inputs))
+    log_bond = basis_log_bond(case, inputs, curve=case.scenarios is None)
+    people = cohorts(case, inputs, log_bond)
     shape = jnp.concatenate([steps.shape, terms.last_shape[None]])
     annuity = annuity_values(terms, people.value[0], shape[0], terms.market.start)
     start_reserve = use(inputs, values.reserve) * terms.assets

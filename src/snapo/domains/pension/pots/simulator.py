@@ -20,6 +20,7 @@ from ..fund.simulator import FundFlows, Happened, PensionSimulator
 from ..fund.trading import trade
 from ..market.dynamics import move
 from ..market.state import log_factor
+from ..records.case import PensionCase
 from ..records.pots import pensions
 from .schedule import PotPeriod, PotTerms, annuity_values, pot_schedule
 from .sharing import SharedResult, closed, shared
@@ -81,11 +82,9 @@ class PotSimulator(PensionSimulator):
     def step(self, constants: PotTerms, now: PotPeriod, state: PotState, action, noise, smooth):  # pyright: ignore
         case, terms, fund = self.model, constants.fund, state.fund
         books = balance(case, terms, now.fund.people, now.fund.shape, fund)
-        factor = jnp.exp(log_factor(terms.market, now.fund.shape, fund.market))
-        annuity = now.value @ factor
+        annuity, by_node = self._valued(constants, now, state)
         paid = self._paid(constants, now, state, books, smooth)
         invested = fund.assets + paid.flows.net if self._in_advance else fund.assets
-        by_node = (self._level(constants, state.pots, annuity) @ now.value) * factor
         buckets = None if terms.swaps is None else terms.swaps.nearest @ by_node
         held = trade(case, terms, fund, action, invested, buckets, smooth)
         moved = move(case, terms.market, now.fund.market, fund.market, noise)
@@ -100,6 +99,16 @@ class PotSimulator(PensionSimulator):
         granted, cut = summary.pop("granted"), summary.pop("cut")
         done = Happened(books, paid.flows, invested, held, moved, after, granted, cut)
         return state, self._outputs(terms, fund, done, smooth) | summary
+
+    def payments_near(self, constants: PotTerms, now: PotPeriod, state: PotState):  # pyright: ignore
+        return constants.fund.swaps.nearest @ self._valued(constants, now, state)[1]  # pyright: ignore
+
+    def _valued(self, constants: PotTerms, now: PotPeriod, state: PotState):
+        """Values before a step: each cohort's annuity [C], and the payments of all pots by node
+        [J]."""
+        factor = jnp.exp(log_factor(constants.fund.market, now.fund.shape, state.fund.market))
+        annuity = now.value @ factor
+        return annuity, (self._level(constants, state.pots, annuity) @ now.value) * factor
 
     def _paid(self, constants: PotTerms, now: PotPeriod, state: PotState, books, smooth) -> Paid:
         """Contributions by salary, minus the reserve's part; pensions and expenses out of pots."""
@@ -198,3 +207,9 @@ class PotSimulator(PensionSimulator):
 
     def slack(self, constants: PotTerms, now: PotPeriod, state: PotState, outputs):  # pyright: ignore
         return super().slack(constants.fund, now.fund, state.fund, outputs)
+
+
+def simulator_of(case: PensionCase) -> PensionSimulator:
+    """The fund of a case: of promised rights, or of personal pots."""
+    kind = PensionSimulator if case.pots is None else PotSimulator
+    return kind.of(case)

@@ -342,7 +342,7 @@ class ContributionTable(CaseTable):
     sponsor_limit: Annotated[CaseInput | None, PAID] = PLAN_MONEY(
         "largest contributions in money, which grow with wages", None
     )
-    schedule: Nonempty | None = csv(
+    schedule: Annotated[Nonempty | None, PROMISED] = csv(
         "payments agreed in money, beyond the rule and its limits",
         "date,amount (or year,amount)",
         None,

@@ -12,6 +12,7 @@ import numpy as np
 
 from snapo.problem.record.either import with_numpy
 
+from ..market.curve import log_bond
 from ..people.liability import paid_at
 from ..people.lpi import limited, log_growth
 from ..read.cells import TableReader
@@ -88,24 +89,31 @@ def read_funding(
 
 class Due(NamedTuple):
     """Expected payments `flow` [N], with the loading for their expenses, their `discount` factors
-    and their times in `years`."""
+    and their times in `years`.
+
+    `deflator`: the price index now divided by the expected index at these times, if the factors
+    discount payments in units of the index; their product discounts money. 1 if the factors already
+    do.
+    """
 
     flow: np.ndarray
     discount: np.ndarray
     years: np.ndarray
+    deflator: np.ndarray | float = 1.0
 
 
 def due(case: PensionCase, inputs: dict[str, Any]) -> Due:
-    """The expected payments, discounted on the basis of the case; scenarios that are supplied have
-    no effect. They include the expected increases of a limited indexation."""
-    case = replace(case, scenarios=None)
-
+    """The expected payments, discounted on the basis of the case. They include the expected
+    increases of a limited indexation."""
     flow, discount = with_numpy(payments)(case, inputs)
-    steps = paid_at(case, np.arange(len(flow)))
+    steps, deflator = paid_at(case, np.arange(len(flow))), 1.0
+    if case.liability.future_indexation == "full":
+        break_even = case.inflation.break_even
+        deflator = np.exp(with_numpy(log_bond)(break_even, inputs, steps * case.step))
     if limited(case):
         grown = np.exp(with_numpy(log_growth)(case, inputs)[steps])
         flow, discount = flow * grown, discount / grown
-    return Due(flow, discount, steps * case.step)
+    return Due(flow, discount, steps * case.step, deflator)
 
 
 def bases(case: PensionCase, inputs: dict[str, Any]) -> Bases:
@@ -145,12 +153,12 @@ def _basis(name: str, margin: float, paid: Due, assets: float) -> Basis:
 
 
 def _recovery(provisions: Basis, owed: Due, years: float) -> Recovery:
-    """The recovery plan: a whole number of payments, and a payment in proportion for a part of a
-    year."""
+    """The recovery plan: a whole number of payments in money, and a payment in proportion for a
+    part of a year."""
     deficit = max(-provisions.surplus, 0.0)
     endpoints = np.append(np.arange(1, int(years) + 1), years)
     paid = np.append(np.ones(int(years)), years - int(years))
-    rates = np.interp(endpoints, owed.years, discounted(owed, provisions.margin))
-    value = float(paid @ rates)
+    money = discounted(owed, provisions.margin) * owed.deflator
+    value = float(paid @ np.interp(endpoints, owed.years, money))
     item = deficit / value
     return Recovery(deficit, years, item, item * float(paid.sum()))

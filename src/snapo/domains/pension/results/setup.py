@@ -16,9 +16,8 @@ from snapo.solver.solve import Evaluation
 from snapo.study.ready import engines_for
 from snapo.study.study import Setup, StudyRun
 
-from ..fund.simulator import PensionSimulator
 from ..policies.allocation import new_policy
-from ..pots.simulator import PotSimulator
+from ..pots.simulator import simulator_of
 from ..records.case import PensionCase, PensionModel
 from ..records.inputs import pension_inputs
 from ..records.market import SuppliedScenarios
@@ -65,12 +64,6 @@ def make_setup(case: PensionCase, engine: str = "auto") -> Setup:
     policy = new_policy(case, simulator, problem.schedule, jax.random.key(training.seed))
     engines = engines_for(engine, problem, policy)
     return Setup(problem, policy, training, evaluation, engines, case=case)
-
-
-def simulator_of(case: PensionCase) -> PensionSimulator:
-    """The fund of a case: of promised rights, or of personal pots."""
-    kind = PensionSimulator if case.pots is None else PotSimulator
-    return kind.of(case)
 
 
 def setup_at(setup: Setup, case: PensionCase, engine: str) -> Setup:

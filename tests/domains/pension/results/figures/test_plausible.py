@@ -1,8 +1,12 @@
 """What `check` shows to a human, and its remarks on cases that look like a slip."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+from tests.domains.pension.market_cases import no_contribution, plan
 from tests.domains.pension.miniature import short_case
+from tests.domains.pension.pots_cases import fund
 
 from snapo.domains.pension import DOMAIN
 from snapo.domains.pension.read.case import read_case
@@ -45,6 +49,14 @@ def test_a_figure_far_from_those_of_funds_is_remarked(small, changes, named):
     found = remarks(small, USUAL._replace(**changes))
     assert len(found) == (named is not None)
     assert all(named in each for each in found)
+
+
+def test_pots_without_contributions_have_no_deficit_to_close():
+    from_rights = USUAL._replace(funding=0.75)
+    one = fund()
+    for pots, count in ((one.pots, 0), (None, 1)):
+        case = replace(one, plan=plan("arrears", contribution=no_contribution()), pots=pots)
+        assert len(remarks(case, from_rights)) == count
 
 
 def test_money_is_readable():

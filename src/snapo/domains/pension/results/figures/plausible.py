@@ -9,7 +9,8 @@ import numpy as np
 
 from snapo.problem.record.either import with_numpy
 
-from ...fund.contributions import CONTRIBUTIONS, log_discount
+from ...fund.contributions import CONTRIBUTIONS
+from ...fund.schedule import log_discount
 from ...records.case import PensionCase
 from ...records.inputs import every_given
 from ...records.people import ACTIVE
@@ -84,7 +85,9 @@ def _unpaid(case: PensionCase, human: Human) -> Iterator[str]:
     """A deficit that no contribution will ever close."""
     paid = case.plan.contribution
     target = float(paid.target_ratio.used()) if paid.kind == "target" else 1.0
-    if human.funding is None or human.funding >= target or paid.schedule is not None:
+    if case.pots is not None or paid.schedule is not None:  # pots have no deficit
+        return
+    if human.funding is None or human.funding >= target:
         return
     closed = not _has_salaries(case)
     responds = CONTRIBUTIONS[paid.kind].responds

@@ -1,7 +1,7 @@
 """The figures of a valuation report, from the model's cash flows and curve, before any
 simulation."""
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
 
@@ -55,14 +55,13 @@ class ReconciledFigure:
 def figures(case: PensionCase, inputs: dict[str, Any]) -> LiabilityFigures:
     """All figures; `inputs` are plain arrays by name."""
     values = _with_curves(case, inputs)
-    plain = replace(case, scenarios=None)
-    flow, discount = with_numpy(payments)(plain, values)
+    flow, discount = with_numpy(payments)(case, values)
     paid = paid_at(case, np.arange(horizon(case)))
     years, value = paid * case.step, flow * discount
     total = float(value.sum())
 
     def log_discount(quotes, name):
-        return basis_log_bond(plain, values | {name: quotes})[paid]
+        return basis_log_bond(case, values | {name: quotes})[paid]
 
     curves = case.curve.rate.name, case.inflation.break_even.rate.name
     # No payment of accrued rights depends on a curve, only its discount factor.
@@ -77,7 +76,7 @@ def figures(case: PensionCase, inputs: dict[str, Any]) -> LiabilityFigures:
         key_rate=BASIS_POINT * rates,
         key_inflation=BASIS_POINT * prices,
         inflation01=BASIS_POINT * float(prices.sum()),
-        cash_flow=flow[: horizon(case) - case.steps] / float(with_numpy(reserved)(plain, values)),
+        cash_flow=flow[: horizon(case) - case.steps] / float(with_numpy(reserved)(case, values)),
     )
 
 
@@ -99,12 +98,11 @@ def check(
             "duration", result.duration, request and request.duration, request and request.tolerance
         ),
     ]
-    plain = replace(case, scenarios=None)
 
     def split(values):
-        return people(plain, values, basis_log_bond(plain, values)).accrued[0].sum()
+        return people(case, values, basis_log_bond(case, values)).accrued[0].sum()
 
-    value = float(with_numpy(split)(_with_curves(plain, inputs)))
+    value = float(with_numpy(split)(_with_curves(case, inputs)))
     lines.append(_line("liability on payment nodes", value, result.liability, EXACT))
     if case.liability.basis != "fixed" and _shifts_as_one(case.curve):
         parallel = -BASIS_POINT * result.duration * result.liability

@@ -1,6 +1,5 @@
 """Members and liability by status, and the fund's payments of today, in money per year."""
 
-from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,9 +8,8 @@ from snapo.problem.record.arrays import Array
 from snapo.problem.record.either import added, with_numpy, xp
 from snapo.problem.smooth import Exact
 
-from ...fund.contributions import annuity
 from ...fund.plan import contribution, indexation
-from ...fund.schedule import agreed, basis_log_bond
+from ...fund.schedule import agreed, annuity, basis_log_bond
 from ...fund.terms import plan_terms
 from ...market.curve import log_bond
 from ...people.cash_flows import horizon, project, reserved
@@ -87,7 +85,7 @@ def groups(case: PensionCase, inputs: dict[str, Any]) -> list[StatusGroup]:
 
 def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
     """[C] the liability of rights earned by now, to every cohort and its spouses."""
-    members, case = case.members, replace(case, scenarios=None)
+    members = case.members
     bond = basis_log_bond(case, inputs)
     streams = project(case, inputs, bond).streams
     assert streams is not None and members is not None
@@ -99,7 +97,6 @@ def _by_cohort(case: PensionCase, inputs: dict[str, Any]):
 
 def pace(case: PensionCase, inputs: dict[str, Any], liability: float) -> Pace:
     """The payments of today; `liability` is that of the case."""
-    case = replace(case, scenarios=None)
     numbers = with_numpy(_pace)(case, inputs, liability)
     return Pace(*map(float, numbers))
 
