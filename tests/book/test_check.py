@@ -7,6 +7,7 @@ import pytest
 from tests.book.books import write_book
 
 from snapo.book import commands
+from snapo.book.file import read_book
 from snapo.book.folder import BookFolder
 from snapo.case.error import CaseError
 from snapo.cli.main import main
@@ -165,3 +166,17 @@ def test_a_damaged_folder_says_what_is_wrong(valued, tmp_path, monkeypatch):
     with pytest.raises(KeyError, match="fault"):  # of the program, not of the file
         commands.report(tmp_path)
     assert BookFolder(valued.out).result()["title"] == "North"
+
+
+def test_the_tables_of_a_book_may_be_in_a_folder_below(tmp_path):
+    """Unlike the files of a case, they are read once and never copied."""
+    file = write_book(
+        tmp_path, [{"name": "one"}], stresses='[[stress]]\ntable = "data/moves.csv"\n'
+    )
+    (tmp_path / "data").mkdir()
+    (tmp_path / "contracts.csv").rename(tmp_path / "data" / "contracts.csv")
+    (tmp_path / "data" / "moves.csv").write_text("name,shift contract.injection_cost\ndear,0.05\n")
+    file.write_text(file.read_text().replace('"contracts.csv"', '"data/contracts.csv"'))
+    book = read_book(file)
+    assert [x.name for x in book.contracts] == ["one"]
+    assert [x.name for x in book.stresses] == ["dear"]

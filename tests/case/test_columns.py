@@ -104,3 +104,19 @@ def test_a_cell_out_of_its_range_is_refused_with_both_ends(low, high, cell, allo
     row = Row("prices.csv", 3, {"price": cell})
     with pytest.raises(CaseError, match=f"line 3, column price: .* must be {allowed}"):
         row.number("price", low, high)
+
+
+@pytest.mark.parametrize("name", ["data/curve.csv", "data/../curve.csv", "data/curve.parquet"])
+def test_a_case_may_not_name_a_file_below_its_folder(name, tmp_path):
+    """Runs hash and copy the files next to a case only: with an edited data/curve.csv, --resume
+    would return the old value, and the copy in the run would lack the file."""
+    (tmp_path / "data").mkdir()
+    for folder in (tmp_path, tmp_path / "data"):
+        (folder / "curve.csv").write_text("date,price,name\n2025-01-01,1.5,a\n")
+        (folder / "curve.parquet").write_bytes(b"")
+    with pytest.raises(CaseError, match=r"not below it; move the file there and write 'curve\."):
+        read(tmp_path, name)
+    assert read(tmp_path, "curve.csv") == [(datetime.date(2025, 1, 1), 1.5, "a")]
+    section = TableContext(tmp_path / "book.toml", "cases", [])
+    rows = read_rows(FileReference(section, "table", "data/curve.csv", below=True), COLUMNS)
+    assert rows[0].number("price") == 1.5

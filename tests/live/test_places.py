@@ -1,5 +1,7 @@
 """Inputs are written where the case's own reader finds them again."""
 
+import io
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +11,7 @@ from snapo.case.error import CaseError
 from snapo.case.given import ConvertedNumber, NoPosition
 from snapo.domains.pension.quantities import AMOUNT
 from snapo.live.terms import usual
+from snapo.live.worker import Desk, serve
 from snapo.study import commands
 from snapo.study.domain import Options
 from snapo.study.positions import InputPositions
@@ -194,6 +197,52 @@ def test_a_written_case_is_a_case(storage, tmp_path):
     loaded = commands.load(commands.CaseRequest(tmp_path / "moved"))
     assert loaded.case.contract.inventory.values == 2000.0
     assert (tmp_path / "moved" / "ratchets.csv").is_file()
+
+
+def test_a_case_written_again_replaces_every_file(storage, tmp_path):
+    """A scenario that is saved again under its name: with the curve of the run, and no policy."""
+    prices = storage.inputs["forward_curve"].value
+    from snapo.domains.gas_storage.contract.records import storage_inputs
+
+    folder, posts, curves = tmp_path / "scenarios" / "cold" / "case", [], []
+    for values in ({"forward_curve": [2.0 * x for x in prices.tolist()]}, {}):
+        order = {"do": "write", "page": "p", "n": 1, "values": values, "folder": str(folder)}
+        posts.append(answered(storage, order))
+        loaded = commands.load(commands.CaseRequest(folder))
+        curves.append(storage_inputs(loaded.case)["forward_curve"].value)
+        assert not (folder / "policy.npz").exists()
+        (folder / "policy.npz").write_bytes(b"of the first save")
+    assert posts == ["written", "written"]
+    np.testing.assert_array_equal(curves, [2.0 * prices, prices])
+    assert [file.name for file in folder.parent.iterdir()] == ["case"]
+
+
+def test_a_case_that_cannot_be_written_leaves_no_earlier_case(storage, tmp_path):
+    folder, posts = tmp_path / "cold" / "case", []
+    for values in ({}, {"inventory": [8000.0]}):
+        order = {"do": "write", "page": "p", "n": 1, "values": values, "folder": str(folder)}
+        posts.append(answered(storage, order))
+    assert posts == ["written", "refused"]
+    assert list(folder.parent.iterdir()) == []
+
+
+class WrittenOnly:
+    """A run of which cases are written, and nothing else."""
+
+    def __init__(self, positions):
+        self.positions = positions
+
+    def files(self, values, choices):
+        arrays = {name: np.array(numbers) for name, numbers in values.items()}
+        return self.positions.case_at(arrays).files
+
+
+def answered(positions, order):
+    """The stage that answers an order to the process of a page."""
+    posts = []
+    desk = Desk(io.StringIO(json.dumps(order)))
+    serve(WrittenOnly(positions), desk, lambda **post: posts.append(post["stage"]), None, object())
+    return posts[-1]
 
 
 def fund(folder, size="small", **files):

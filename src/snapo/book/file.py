@@ -292,7 +292,7 @@ def _contracts(
     if not cases.table:
         yield _contract(context, cases.template, tables, files, "", markets, 1.0, {}, origin)
         return
-    reference = FileReference(context, "table", cases.table)
+    reference = FileReference(context, "table", cases.table, below=True)
     rows = read_rows(reference, ("name",), with_keys=True)
     _check_columns(cases.table, rows)
     for row in rows:

@@ -144,7 +144,8 @@ class MoveColumn(NamedTuple):
 def _of_table(context: TableContext, name: str) -> Iterator[BookStress]:
     """The stresses of a table, one in each row. Its columns are `name`, `scale KEY`, `shift KEY`,
     either with `@PERIOD`, and `set KEY`, whose values are written as for `--set`."""
-    rows = read_rows(FileReference(context, "table", name), ("name",), with_keys=True)
+    reference = FileReference(context, "table", name, below=True)
+    rows = read_rows(reference, ("name",), with_keys=True)
     columns = [item for x in rows[0].cells if (item := _move_column(name, x)) is not None]
     for row in rows:
         moves = dict[tuple[str, Any], StressMove]()

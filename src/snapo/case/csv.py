@@ -114,11 +114,16 @@ NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 @dataclass(frozen=True)
 class FileReference:
-    """A reference of a case to a file: the table, the key, and the name."""
+    """A reference of a case to a file: the table, the key, and the name.
+
+    `below`: whether the file may be in a folder below the folder of the case. This is right only if
+    no copy of the case is ever made, as runs hash and copy the files next to a case only.
+    """
 
     section: TableContext
     key: str
     name: str
+    below: bool = False
 
     def error(self, allowed: str) -> CaseError:
         """A mistake in the name itself."""
@@ -215,7 +220,7 @@ def rising_dates(rows: Sequence[Row], column: str = "date") -> list[datetime.dat
 
 
 def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
-    """The plain file that a case names, which must be in the folder of the case or below it."""
+    """The plain file that a case names, which must be in the folder of the case."""
     name = Path(reference.name)
     kinds = " or ".join(suffixes)
     if name.suffix.lower() not in suffixes:
@@ -228,6 +233,9 @@ def file_in_folder(reference: FileReference, suffixes: Sequence[str]) -> Path:
         raise reference.error(f"this cannot be the name of a file ({error.args[-1]})") from None
     if name.is_absolute() or not inside:
         raise reference.error("a file that a case names must be in the folder of the case")
+    if len(name.parts) > 1 and not reference.below:
+        message = "a file that a case names must be in the folder of the case, not below it"
+        raise reference.error(f"{message}; move the file there and write {name.name!r}")
     if not exists:
         present = [file.name for file in sorted(folder.iterdir()) if file.suffix in suffixes]
         hint = f" (there are {', '.join(present)})" if present else ""

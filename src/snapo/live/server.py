@@ -100,9 +100,10 @@ class Downloads:
         order["policy"] = tables.policy
         done = asyncio.get_running_loop().create_future()
         with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
+            folder = Path(made) / "case"
             self._writing[order["n"]] = done
             try:
-                await self.workers.ask(order | {"folder": made})
+                await self.workers.ask(order | {"folder": str(folder)})
                 message = await asyncio.wait_for(done, PATIENCE)
             except TimeoutError:
                 message = {"stage": "refused", "message": "the calculation is busy; try again"}
@@ -110,10 +111,10 @@ class Downloads:
                 self._writing.pop(order["n"], None)
             if message["stage"] != "written":
                 raise web.HTTPConflict(text=message["message"])
-            written = list(Path(made).iterdir())
+            written = list(folder.iterdir())
             if book and len(written) == 1:
                 return _download(written[0].read_bytes(), XLSX, "case.xlsx")
-            return _download(zipped(Path(made), "case"), "application/zip", "case.zip")
+            return _download(zipped(folder, "case"), "application/zip", "case.zip")
 
     def _asked(self, request: web.Request) -> tuple[str, Mapping[str, Any]]:
         """The position in an address, and its document."""

@@ -176,9 +176,7 @@ def serve(
                 rows = shown.table("explained", rows)
                 post(page=order.page, n=order.n, stage="explained", table=rows)
             elif order.do == "write":
-                _write(valuation, order)
-                if isinstance(valuation, Valuation):
-                    valuation.save_policy(Path(order.folder))
+                _replace(valuation, order)
                 post(page=order.page, n=order.n, stage="written", folder=order.folder)
         except CaseError as error:
             post(page=order.page, n=order.n, stage="refused", message=in_words(error))
@@ -206,22 +204,39 @@ def _move(
             post(page=order.page, n=order.n, stage=name, table=table)
 
 
-def _write(valuation: WhatIf, order: WorkerOrder) -> None:
-    """Writes the case to a folder, or as a workbook in the folder, with the files that no sheet can
-    hold."""
-    files, folder = valuation.files(order.values, order.choices), order.folder
-    if not order.workbook:
-        files.write(Path(folder))
-        return
-    from snapo.case.workbook import write_workbook
+def _replace(valuation: WhatIf, order: WorkerOrder) -> None:
+    """Writes a case to a new folder, which then replaces `order.folder` as a whole: no file of an
+    earlier case remains. If the case cannot be written, the earlier case is removed as well."""
+    folder = Path(order.folder)
+    folder.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix="snapo-live-", dir=folder.parent) as made:
+        new = Path(made) / "new"
+        new.mkdir()
+        try:
+            _write(valuation, order, new)
+        finally:
+            if folder.exists():
+                folder.rename(Path(made) / "old")
+        new.rename(folder)
 
-    with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
-        files.write(Path(made))
-        Path(folder).mkdir(parents=True, exist_ok=True)
-        write_workbook(Path(made), files.tables, Path(folder) / "case.xlsx")
-        for file in Path(made).iterdir():
-            if file.suffix != ".csv" and file.name != "case.toml":
-                shutil.copyfile(file, Path(folder) / file.name)
+
+def _write(valuation: WhatIf, order: WorkerOrder, folder: Path) -> None:
+    """Writes the case to a folder, or as a workbook in the folder, with the files that no sheet can
+    hold, and the policy."""
+    files = valuation.files(order.values, order.choices)
+    if not order.workbook:
+        files.write(folder)
+    else:
+        from snapo.case.workbook import write_workbook
+
+        with tempfile.TemporaryDirectory(prefix="snapo-live-") as made:
+            files.write(Path(made))
+            write_workbook(Path(made), files.tables, folder / "case.xlsx")
+            for file in Path(made).iterdir():
+                if file.suffix != ".csv" and file.name != "case.toml":
+                    shutil.copyfile(file, folder / file.name)
+    if isinstance(valuation, Valuation):
+        valuation.save_policy(folder)
 
 
 class Cancelled(Exception):

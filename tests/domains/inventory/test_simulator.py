@@ -7,6 +7,7 @@ import equinox as eqx
 import jax.numpy as jnp
 import numpy as np
 import pytest
+from scipy.stats import norm, poisson
 from tests.domains.inventory.inventory_cases import case, optimised
 from tests.domains.inventory.references.backlog import base_stock_cost
 
@@ -18,6 +19,7 @@ from snapo.engine import Native, Xla
 from snapo.problem.objective import Mean
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Sources
+from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact, Smooth
 from snapo.solver.adjoint import value_and_gradient
 from snapo.solver.certificate import certify_derivatives, in_the_mean
@@ -199,6 +201,30 @@ def test_the_mean_of_whole_demand_has_a_smooth_derivative_near_that_of_the_value
             for mean in (5.25, 4.75)]  # fmt: skip
     found = float(slope.inputs["demand_mean"])
     assert found == pytest.approx((ends[0].value - ends[1].value) / 0.5, abs=0.15)
+
+
+def test_a_shortage_below_half_a_unit_is_a_shortage():
+    """Whole demand with real orders: 8 are demanded of 7.7."""
+    of = problem(case(lead_time=0, whole=False, horizon={"periods": 2, "warm_up": 0}))
+    schedule, between = of.schedule, (poisson.cdf(7, 5.0) + poisson.cdf(8, 5.0)) / 2
+    eight, state = jnp.array([norm.ppf(between)]), {"stock": jnp.zeros(()), "missed": jnp.zeros(())}
+    shown = []
+    for order in (7.0, 7.7, 8.0):
+        orders = jnp.array([order])
+        now = at(schedule.steps, 0)
+        _, outputs = of.simulator.step(schedule.constants, now, state, orders, eight, Exact())
+        shown.append(2 * float(outputs["short"]))  # the average over two periods
+    assert shown == [1.0, 1.0, 0.0]
+
+
+def test_periods_without_shortage_at_a_real_level_are_the_distribution_of_demand():
+    """With 7.7 units in every period, demand of 8 is not met: F(7) = 86.7 %, not F(8) = 93.2 %."""
+    of = problem(case(lead_time=0, whole=False, horizon={"periods": 20, "warm_up": 0}, stock=0.0))
+    draws = of.sources.evaluation.draws(np.arange(1024), of.simulator)
+    totals = Xla("float64").bind(of).values(base_stock(of, 7.7), draws, Exact()).totals
+    short, n = float(np.mean(totals["short"])), 20 * 1024
+    expected = float(poisson.sf(7, 5.0))
+    assert abs(short - expected) < 4 * np.sqrt(expected * (1 - expected) / n)
 
 
 @pytest.mark.prove

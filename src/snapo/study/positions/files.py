@@ -72,16 +72,14 @@ class Files:
         return replace(self, sheets={**self.sheets, name: sheet}, changed=self.changed | {name})
 
     def write(self, folder: Path) -> Path:
-        """Writes the case to a separate folder, as case.toml and its other files; returns
-        case.toml."""
+        """Writes the case to a separate folder, as case.toml and its other files, in place of files
+        of the same names; returns case.toml."""
         folder.mkdir(parents=True, exist_ok=True)
         named = tables_named(self.folder, self.tables)
         for case_file in case_files(self.folder, pictures=True):
             apart = case_file.suffix.lower() == ".toml" and case_file not in named
             if not apart and case_file.name not in self.changed:
-                target = folder / case_file.name
-                if not target.exists():
-                    shutil.copyfile(case_file, target)
+                shutil.copyfile(case_file, folder / case_file.name)
         for name in self.changed:
             (folder / name).write_text(self.sheets[name].text(), encoding="utf-8")
         file = folder / "case.toml"

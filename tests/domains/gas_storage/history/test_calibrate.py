@@ -90,6 +90,14 @@ def test_quotes_are_of_products_not_begun(tmp_path, row, named):
         assert name in str(caught.value), caught.value
 
 
+def test_prices_may_be_in_a_folder_below_the_calibration(tmp_path):
+    """Unlike the files of a case, they are never copied."""
+    folder = written(tmp_path, SPOT.replace("spot.csv", "data/spot.csv"), spot=days(30))
+    (folder / "data").mkdir()
+    (folder / "spot.csv").rename(folder / "data" / "spot.csv")
+    assert read_calibration(folder).prices == 30
+
+
 def test_prices_of_all_files_meet_on_their_dates(tmp_path):
     """Spot, constant maturities with an empty cell, and quotes whose maturity changes."""
     table = "date,F1,month 12\n" + "".join(f"2024-01-{d:02},30,{d}\n" for d in range(1, 25))

@@ -1,6 +1,7 @@
 """`[pots]` as it is read: the law at the date, allocations by age, and mistakes."""
 
 import datetime
+from importlib.resources import files
 
 import numpy as np
 import pytest
@@ -49,3 +50,17 @@ def test_mistakes(change, where, words, tmp_path):
         read(tmp_path, **change)
     assert where in str(error.value)
     assert words in str(error.value)
+
+
+def test_a_file_of_rules_must_be_next_to_the_case(tmp_path):
+    """A run hashes and copies the files next to a case only."""
+    own = (files("snapo.domains.pension.regulation") / "dutch_wtp.toml").read_text()
+    (tmp_path / "law").mkdir()
+    for name in ("law/mine.toml", "mine.txt", "mine.toml"):
+        (tmp_path / name).write_text(own)
+    with pytest.raises(CaseError, match=r"pots.rules: got 'law/mine.toml'.* not below it"):
+        read(tmp_path, pots={"rules": "law/mine.toml"})
+    with pytest.raises(CaseError, match=r"pots.rules: got 'mine.txt'.* .toml file"):
+        read(tmp_path, pots={"rules": "mine.txt"})
+    case = read(tmp_path, pots={"rules": "mine.toml"})
+    assert case.pots is not None and case.pots.rules.since == "2023-07-01"

@@ -177,18 +177,18 @@ def calibration_of(
 def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPrice]:
     """All prices of all files; an empty cell is a missing price."""
     if table.spot is not None:
-        rows = read_rows(FileReference(section, "spot", table.spot), ("date", "price"))
+        rows = read_rows(_file(section, "spot", table.spot), ("date", "price"))
         for day, row in zip(rising_dates(rows), rows):
             yield from _observed(row, "price", "spot", day, day)
     if table.maturities is not None:
-        rows = read_rows(FileReference(section, "maturities", table.maturities), ("date",))
+        rows = read_rows(_file(section, "maturities", table.maturities), ("date",))
         months = _months(rows[0])
         for day, row in zip(rising_dates(rows), rows):
             for column, ahead in months.items():
                 yield from _observed(row, column, column, day, ahead / 12)
     if table.quotes is not None:
         columns = ("date", "product", "price")
-        rows = read_rows(FileReference(section, "quotes", table.quotes), columns)
+        rows = read_rows(_file(section, "quotes", table.quotes), columns)
         visited: set[tuple[datetime.date, datetime.date, datetime.date]] = set()
         for row in rows:
             first, last = _product(row)
@@ -202,6 +202,11 @@ def _prices(section: TableContext, table: HistoryTable) -> Iterator[ObservedPric
                 message = f"its delivery begins on {first}, before the date of the price"
                 raise row.error("product", message)
             yield from _observed(row, "price", "quotes", day, first + (last - first) / 2)
+
+
+def _file(section: TableContext, key: str, name: str) -> FileReference:
+    """A file of prices; a calibration is never copied."""
+    return FileReference(section, key, name, below=True)
 
 
 def _months(row: Row) -> dict[str, int]:

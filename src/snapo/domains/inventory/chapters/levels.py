@@ -65,7 +65,7 @@ class OrderCurves:
 
 def measure(run: StudyRun) -> OrderCurves:
     """Measures the orders at several stocks, without outstanding orders and with usual amounts of
-    them."""
+    them, in the first period that counts."""
     setup, case = run.setup, case_of(run.setup)
     now = at(setup.problem.schedule.steps, case.warm_up)
     stock = stocks(case, float(now["level"]))
@@ -75,7 +75,7 @@ def measure(run: StudyRun) -> OrderCurves:
     for share in SHARES if len(usual) else (1.0,):
         coming = share * usual
         coming = np.round(coming) if case.item.integer else coming
-        amounts = orders(setup, policy, stock, coming)
+        amounts = orders(setup, policy, stock, coming, case.warm_up)
         levels = np.where(amounts > 0, stock + coming.sum() + amounts, np.nan)
         curves.append(OrderCurve(float(coming.sum()), amounts, levels))
     return OrderCurves(stock, tuple(curves))
@@ -88,12 +88,14 @@ def stocks(case: InventoryCase, level: float) -> np.ndarray:
     return np.unique(np.round(grid)) if case.item.integer else grid
 
 
-def orders(setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray) -> np.ndarray:
-    """[n] the exact orders of the rule at these stocks, in the first period that counts."""
+def orders(
+    setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray, period: int
+) -> np.ndarray:
+    """[n] the exact orders of the rule at these stocks in this period, counted from 0."""
     problem, case = setup.problem, case_of(setup)
     simulator, fixed = problem.simulator, case.item.fixed
     schedule = jax.tree.map(lambda x: jnp.asarray(x, jnp.float32), problem.schedule)
-    now = at(schedule.steps, case.warm_up)
+    now = at(schedule.steps, period)
 
     @jax.jit
     def of(stock):
@@ -108,10 +110,11 @@ def orders(setup: Setup, policy: Policy, stock: np.ndarray, coming: np.ndarray) 
 
 
 def today(setup: Setup, policy: Policy) -> Today:
-    """The order in the first period."""
+    """The order in the first period, with which the warm-up begins: the stock and the outstanding
+    orders of the case belong to this period."""
     case, constants = case_of(setup), setup.problem.schedule.constants
     stock, coming = float(constants["stock"]), np.asarray(constants["coming"], np.float64)
-    order = float(orders(setup, policy, np.array([stock]), coming)[0])
+    order = float(orders(setup, policy, np.array([stock]), coming, 0)[0])
     facts = [
         ("stock", stock, case.unit),
         ("on its way", float(coming.sum()), case.unit),

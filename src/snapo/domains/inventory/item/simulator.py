@@ -194,7 +194,7 @@ class InventorySimulator(Simulator):
             "ordering": constants["order"] * placed,
         }
         costs = {name: now["weight"] * part for name, part in parts.items()}
-        unmet = smooth.indicator(short - (0.5 if self.demand.integral() else 1e-3), corner)
+        unmet = smooth.indicator(short - 1e-3, corner)
         missed, cycles = _cycle(state, order, unmet, self.lead_time, smooth)
         averages = dict(zip(AVERAGES, (demand, sold, left, unmet, placed, order, *cycles)))
         outputs = {"result": -sum(costs.values()), **costs}

@@ -7,6 +7,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
+from snapo.case.csv import FileReference, file_in_folder
 from snapo.case.load import tables_of
 
 from ..read.cells import TableReader
@@ -34,6 +35,8 @@ def in_force(
         if name in local:
             text = (files(__package__ or "") / local[name]).read_text(encoding="utf-8")
         else:
+            if (section.file.parent / name).is_file():
+                file_in_folder(FileReference(section, "rules", name), (".toml",))
             text = (section.file.parent / name).read_text(encoding="utf-8")
         versions = tables_of(section.file.parent / name, text)["version"]
         available = [(version["from"], version) for version in versions if version["from"] <= day]
