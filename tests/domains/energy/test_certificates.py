@@ -12,8 +12,10 @@ from tests.domains.energy.energy_cases import HOME, case_at, exact, plain, plant
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
+from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.setup import bare_problem, factors_of, make_setup, price_schedule
+from snapo.domains.energy.summary import known_schedule
 from snapo.engine.native import Native
 from snapo.problem.smooth import EXACT
 from snapo.solver.bound import bound
@@ -22,6 +24,7 @@ from snapo.solver.sensitivity import sensitivities
 from snapo.testing.derivatives import wrong_derivatives
 
 HOUR, END = 1 / 8760, datetime.datetime(2026, 1, 5, 12)
+WEEK = datetime.datetime(2026, 1, 12)
 MARKET = {
     "contract.emission": {"per_fuel": 1.0, "market": "co2"},
     "market.co2": {"forward_curve": "co2.csv"},
@@ -29,13 +32,17 @@ MARKET = {
 THREE = [["power", "gas", 0.4], ["co2", "gas", 0.3], ["power", "co2", -0.2]]
 
 
-@pytest.fixture
-def folder(tmp_path):
-    """The template with certificates at 14 on every day."""
-    folder = shutil.copytree(HOME / "template_plant", tmp_path / "case")
+def of_template(folder):
+    """The template in a folder, with certificates at 14 on every day."""
+    shutil.copytree(HOME / "template_plant", folder)
     rows = [f"2026-01-{day:02d},14.0" for day in range(5, 12)]
     (folder / "co2.csv").write_text("\n".join(["date,price", *rows]))
     return folder
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return of_template(tmp_path / "case")
 
 
 def with_market(folder, volatility, **changes):
@@ -72,6 +79,19 @@ def test_cost_of_fuel(folder):
     assert of.index.at(of, 7, state[:, None]) == pytest.approx(cost, rel=1e-12)
     expected = plain(schedule.steps.index.expected())
     assert expected[7] == pytest.approx(row.index.fuel.forward + 0.2 * 14.0, rel=1e-12)
+
+
+@pytest.mark.parametrize("per_fuel", [0.2, 1.0])
+def test_a_check_includes_certificates(per_fuel, folder):
+    """At forward prices certificates at 14 cost as much as emissions at a fixed price of 14."""
+    moving = {"contract.emission": {"per_fuel": per_fuel, "market": "co2"}, "contract.end": WEEK}
+    fixed = plant(emission={"per_fuel": per_fuel, "price": 14.0})
+    values = [
+        intrinsic_value(case.contract.layout, known_schedule(case))
+        for case in (with_market(folder, 0.5, **moving), fixed)
+    ]
+    assert values[0] == pytest.approx(values[1], rel=1e-12, abs=1e-9)
+    assert (values[1] > 1000.0) == (per_fuel < 1.0)
 
 
 @pytest.mark.prove

@@ -7,6 +7,7 @@ import pytest
 from numpy.testing import assert_allclose
 from tests.domains.energy.energy_cases import HOME, battery, case_at, plant, swing
 from tests.domains.energy.test_bank import CARRY, CHEAP, MAKE_UP, TWO, three_years, two_years
+from tests.domains.energy.test_certificates import of_template, with_market
 from tests.domains.energy.test_index import indexed
 from tests.domains.energy.test_swing import firm_with_rights
 from tests.lanes.in_numpy import in_numpy
@@ -31,6 +32,7 @@ CASES: dict[str, Any] = {
     "park and loan": lambda folder: case_at(PARK, {}),
     "cash-out": lambda folder: case_at(PARK, LEFT),
     "plant": lambda folder: plant(),
+    "certificates": lambda folder: with_market(of_template(folder), 0.5),
     "stores": lambda folder: case_at(HOME / "template_stores", {}),
 }
 

@@ -18,10 +18,11 @@ from snapo.case.error import CaseError
 from snapo.case.load import load
 from snapo.case.toml import to_toml
 from snapo.domains.energy.contracts.stores import STORES
+from snapo.domains.energy.core.feasibility import check_limits
 from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.read.case import EnergyCase, read_case
 from snapo.domains.energy.setup import bare_problem, make_setup
-from snapo.domains.energy.summary import lines
+from snapo.domains.energy.summary import known_schedule, lines
 from snapo.domains.gas_storage.bounds.relaxation import StoreRelaxation
 from snapo.domains.gas_storage.contract.schedule import of_prices
 from snapo.domains.gas_storage.read.case import read_case as read_store
@@ -314,6 +315,8 @@ def test_the_order_of_the_stores_does_not_matter(transfers, tmp_path):
         ({"slow": {"ratchets": "r.csv"}}, r"slow.toml, contract.ratchets"),
         ({"fast": {"min_injection": 1.0}}, r"fast.toml, contract.min_injection"),
         ({"fast": {"inventory": 7.0}}, r"fast.toml, contract.inventory: .*0 to 6"),
+        ({"fast": {"end_inventory": 7.0}}, r"fast.toml, contract.end_inventory: .*7; .* allow 0 to 6"),
+        ({"slow": {"min_inventory": 1.0}}, r"slow.toml, contract.end_inventory: .*0; .* allow 1 to 12"),
         ({"inventory": [1.0]}, "contract.inventory: .*list of 2"),
         ({"net_injection": -1.0}, "contract.net_injection"),
         ({"transfers": False, "fast": {"end_inventory": 1.0}}, r"fast.toml, contract.end_inventory"),
@@ -330,6 +333,45 @@ def test_what_cannot_be_met_or_has_no_nodes_is_refused(tmp_path):
         lines(case(tmp_path, net_withdrawal=0.25))
     with pytest.raises(CaseError, match=r"contract: .*common divisor"):
         lines(case(tmp_path, net_withdrawal=1.0001))
+
+
+@pytest.mark.parametrize("transfers", [True, False])
+def test_joint_limits_that_today_cannot_meet_are_refused(transfers, tmp_path):
+    """In 16 days at most 8 units flow out of both stores, or into both. Each store can be emptied,
+    or filled, without the other one."""
+    limits = {"net_withdrawal": 0.5, "net_injection": 0.5, "transfers": transfers}
+    lines(case(tmp_path, **limits, inventory=[4.0, 4.0]))
+    words = "net_withdrawal: got 0.5; .* at most 8 MWh on 2027-01-01, but they have 9 MWh"
+    with pytest.raises(CaseError, match=words):
+        lines(case(tmp_path, **limits, inventory=[4.0, 5.0]))
+    if not transfers:  # then nothing may be owed
+        return
+    full = limits | {"inventory": [0.0, 0.0], "fast": {"end_inventory": 4.0}}
+    lines(case(tmp_path, **full, slow={"end_inventory": 4.0}))
+    words = "net_injection: got 0.5; .* at least 1 MWh on 2027-01-01, but they have 0 MWh"
+    with pytest.raises(CaseError, match=words):
+        lines(case(tmp_path, **full, slow={"end_inventory": 5.0}))
+
+
+@pytest.mark.prove
+@hypothesis.settings(max_examples=60, deadline=None)
+@hypothesis.given(*[st.integers(0, 6)] * 4, *[st.integers(0, 4)] * 2)
+def test_what_can_be_met_has_a_plan(fast, slow, end_fast, end_slow, into, out):
+    """A contract is refused if and only if the integer program has no plan."""
+    with tempfile.TemporaryDirectory() as folder:
+        this = case(
+            Path(folder), fast={"end_inventory": float(end_fast)}, net_injection=into / 8,
+            slow={"end_inventory": float(end_slow)}, net_withdrawal=out / 8,
+            inventory=[float(fast), float(slow)],
+        )  # fmt: skip
+    schedule = known_schedule(this)
+    try:
+        best_plan(this)
+    except AssertionError:
+        with pytest.raises(CaseError):
+            check_limits(this, schedule)
+    else:
+        check_limits(this, schedule)
 
 
 def test_the_files_of_the_stores_go_with_the_case(tmp_path):

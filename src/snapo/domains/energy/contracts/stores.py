@@ -14,14 +14,15 @@ Mathematical Programming 42 (1988), 489-563).
 """
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.problem.record import TreeRecord, field
 from snapo.problem.record.arrays import Array, NumbersOf
-from snapo.problem.record.either import backwards, xp
+from snapo.problem.record.either import backwards, with_numpy, xp
 
 from ..core.contract import (
     ContractLayout,
@@ -36,6 +37,7 @@ from ..core.contract import (
 )
 
 JOINT_FLOW = "joint flow"  # its level
+ROUNDED = 1e-9  # of the gas in both stores: rounding does not break a limit
 STORES = 2  # with their joint flow three volumes are counted
 # Joint limits, by transfers: of both inventories together, of the second one minus the joint flow,
 # each from both sides; without transfers from above, and of the second one alone.
@@ -134,6 +136,24 @@ class StoresContract(EnergyContract):
             of_levels=self._holding(at, daily),
         )
         return Terms(xp.append(self._start(at), xp.zeros(levels - STORES)), steps)
+
+    @with_numpy
+    def check_together(self, file: str, days: Sequence[Any]) -> None:
+        at, unit = CaseInput.used, self.layout.levels[0].unit
+        sets = _feasible(self._daily_flows(at), *self._limits(at), self.transfers)
+        least, most = sets.total_low[0], sets.total_high[0]
+        gas, near = float(xp.sum(self._start(at))), ROUNDED * max(1.0, float(most))
+        if least - near <= gas <= most + near:
+            return
+        above = gas > most
+        key = "net_withdrawal" if above else "net_injection"
+        limit = f"at most {most:.10g}" if above else f"at least {least:.10g}"
+        number: CaseInput | None = getattr(self, key)
+        message = (
+            f"with this limit both stores together must have {limit} {unit} on {days[0]}, but they "
+            f"have {gas:.10g} {unit}"
+        )
+        raise CaseError(file, f"contract.{key}", number and number.written, message)
 
     def _start(self, at: NumbersOf) -> Array:
         return xp.stack([at(store.inventory) for store in self.stores])

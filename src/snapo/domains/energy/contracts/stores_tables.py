@@ -212,6 +212,9 @@ def _read_store(
         quantity = ContractTable.model_fields["inventory"].metadata[-1]
         end = quantity.input("end_inventory", [table.end_inventory])
         end = replace(end, unit=table.volume_unit, meaning="gas owed at the end", move=move)
+        if not low.used()[-1] <= table.end_inventory <= high.used()[-1]:
+            message = f"on {table.end} the limits allow {low.used()[-1]:g} to {high.used()[-1]:g}"
+            raise where.error("end_inventory", table.end_inventory, message)
     if not transfers:
         if end is not None and table.end_inventory:
             message = 'without transfers it must be 0 or "free"'

@@ -18,7 +18,7 @@ settled (`short` for each unit below `owed`) and set to zero, as at the end of a
 """
 
 import abc
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from itertools import combinations
 from typing import Any, NamedTuple
 
@@ -359,6 +359,13 @@ class EnergyContract(TreeRecord):
         was fixed before.
 
         **Raises:** `ValueError` if no case can begin in this way.
+        """
+
+    def check_together(self, file: str, days: Sequence[Any]) -> None:
+        """Checks whether limits of several levels together can be met from the start; those of
+        each level can. `days` [T]: dates of the steps.
+
+        **Raises:** `CaseError` with the key that no decisions can meet.
         """
 
     @property

@@ -261,3 +261,4 @@ def check_limits(case: Any, schedule: Any) -> None:
         name = layout.levels[level].name
         raise CaseError(str(case.file), f"contract: {name}", None,
                         f"no decisions can meet its limits from {day} on")  # fmt: skip
+    case.contract.check_together(str(case.file), case.days)

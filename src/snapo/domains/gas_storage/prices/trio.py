@@ -16,7 +16,7 @@ from snapo.problem.record import Schedule, field
 from snapo.problem.record.arrays import Array, jnp
 
 from .pair import CommodityPair, SecondCommodity, SecondRows
-from .process import GaussianFactors, use
+from .process import GaussianFactors, KnownPrices, use
 
 
 class FuelRows(NamedTuple):
@@ -103,6 +103,11 @@ class CommodityTrio(CommodityPair):
         return Schedule(
             rows.constants, rows.steps._replace(index=FuelRows(rows.steps.index, third, share))
         )
+
+    def second_price(self):
+        fuel, none = super().second_price().index, np.zeros(0)
+        certificate: Any = self.third_curve.used(), none, none
+        return KnownPrices(FuelRows(fuel, SecondRows(*certificate), self.share.used()))
 
     def index(self, constants, now, state):
         return now.index.price(state)
