@@ -72,8 +72,8 @@ class Files:
         return replace(self, sheets={**self.sheets, name: sheet}, changed=self.changed | {name})
 
     def write(self, folder: Path) -> Path:
-        """Writes the case to a separate folder, as case.toml and its other files, in place of files
-        of the same names; returns case.toml."""
+        """Writes the case to a separate folder, as case.toml and its other files, which replace
+        files of the same names; returns case.toml."""
         folder.mkdir(parents=True, exist_ok=True)
         named = tables_named(self.folder, self.tables)
         for case_file in case_files(self.folder, pictures=True):
