@@ -12,6 +12,7 @@ from snapo.domains.control import DOMAIN
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.double_integrator import DoubleIntegrator
 from snapo.domains.control.plants.linear import LinearQuadratic
+from snapo.domains.control.plants.mountain_car import MountainCar
 from snapo.domains.control.regulator import (
     Linearised,
     estimation_cost,
@@ -110,6 +111,27 @@ def test_the_policy_sees_errors_and_the_cost_does_not():
     assert float(after["measurement"]["position"]) == pytest.approx(1.0)
     bare = {name: after[name] for name in ("position", "speed")}
     assert float(plant.observe(schedule.constants, now, bare)[0]) == 2.0
+
+
+def test_a_car_is_measured_in_every_step():
+    """The errors have independent draws, and the goal is that of the true position."""
+    start = {"position": {"at": 0.44}, "speed": {"at": 0.05}}
+    inputs = make_inputs(MountainCar, {}, {}, start, None, {"speed": 0.01})
+    plant = MountainCar(inputs, 3)
+    schedule = plant.prepare(plain(inputs))
+    now = {name: each[0] for name, each in schedule.steps.items()}
+    state = plant.initial(schedule.constants, jnp.array([1.0]))
+    assert float(state["measurement"]["speed"]) == pytest.approx(0.06)
+    noise, idle = jnp.array([-2.0]), jnp.zeros(1)
+    after, outputs = plant.step(schedule.constants, now, state, idle, noise, snapo.Exact())
+    assert after.keys() == state.keys() == {"position", "speed", "alive", "measurement"}
+    speed = 0.05 - 0.0025 * np.cos(3 * 0.44)
+    assert float(after["speed"]) == pytest.approx(speed, rel=1e-6)
+    assert float(after["position"]) == pytest.approx(0.44 + speed, rel=1e-6)
+    assert float(after["measurement"]["speed"]) == pytest.approx(speed - 0.02, rel=1e-6)
+    assert float(outputs["prize"]) == 100.0 and float(after["alive"]) == 0.0
+    seen = plant.observe(schedule.constants, now, after)
+    assert float(seen[1]) == pytest.approx((speed - 0.02) / 0.07, rel=1e-5)
 
 
 def test_memories_are_chosen_in_the_case():

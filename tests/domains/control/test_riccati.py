@@ -1,14 +1,21 @@
 """The linear regulator: published stationary solutions, and case C1 with all its derivatives."""
 
+import json
+from pathlib import Path
+
 import numpy as np
 import pytest
 
 import snapo
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.linear import LinearQuadratic
+from snapo.domains.control.read import read_case
 from snapo.domains.control.regulator import Linearised, optimum, riccati, solved
 from snapo.domains.control.rules import classical_rules
+from snapo.domains.control.study import plant_at
 from snapo.problem.inputs import named_inputs, plain
+from snapo.study import commands
+from snapo.testing.miniature import Miniature
 
 A, B = np.array([[1.0, 1.0], [0.0, 1.0]]), np.array([[0.0], [1.0]])
 STEPS = 12
@@ -27,6 +34,37 @@ def test_a_scalar_with_the_golden_ratio():
     found = riccati(Linearised(one, one, one, one, np.zeros((1, 1)), one), 60)
     assert found.P[0, 0, 0] == pytest.approx(1.6180340, abs=1e-7)
     assert found.K[0, 0, 0] == pytest.approx(0.6180340, abs=1e-7)
+
+
+def test_a_case_with_one_state_has_its_optimum():
+    """P <- 1 + P / (1 + P) five times from 1: 3/2, 8/5, 21/13, 55/34, 144/89."""
+    one = [[1.0]]
+    data = {
+        "kind": "control",
+        "plant": {"type": "linear-quadratic", "horizon": 5, "A": one, "B": one},
+        "cost": {"Q": one, "R": one, "Q_T": one},
+        "start": {"x": {"at": [1.0]}},
+    }
+    case = read_case(Path("case.toml"), data)
+    assert optimum(plant_at(case), plain(case.inputs)) == pytest.approx(-144 / 89, rel=1e-12)
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize(
+    "objective", ({"kind": "mean"}, {"kind": "cvar", "level": 0.95}), ids=lambda x: x["kind"]
+)
+def test_only_a_mean_is_compared_with_the_largest_mean(tmp_path, sketched, objective):
+    keys = ["plant.horizon=4", "training.steps=2", "training.paths=32", "evaluation.paths=256"]
+    keys += ["evaluation.sensitivity_paths=64", "evaluation.judge_paths=0"]
+    keys += [f"objective.{key}={json.dumps(value)}" for key, value in objective.items()]
+    result = Miniature("control", "linear-quadratic", tuple(keys)).solve(tmp_path)
+    assert not result["failures"], result
+    best = json.loads((tmp_path / "run" / "parts" / "rivals.json").read_text())["optimum"]
+    page = commands.report(tmp_path / "run").read_text()
+    mean = objective["kind"] == "mean"
+    assert (best is not None) == mean and ("than the optimum in closed form" in page) == mean
+    assert ("Mean reward of an episode; higher" in page) == mean
+    assert ("Mean of the worst 5 % of rewards; higher" in page) != mean
 
 
 def inputs(**changed):

@@ -4,14 +4,18 @@ import jax
 import numpy as np
 import pytest
 
+from snapo.case.error import CaseError
+from snapo.case.load import load
+from snapo.domains.control import DOMAIN
+from snapo.domains.control.chapters.baselines import check_same
 from snapo.domains.control.inputs import make_inputs
 from snapo.domains.control.plants.mountain_car import MountainCar
 from snapo.domains.control.plants.pendulum import Pendulum
+from snapo.domains.control.study import objective_of, plant_at
 from snapo.problem.inputs import plain
 from snapo.problem.smooth import Exact
 
 gymnasium = pytest.importorskip("gymnasium")
-pytestmark = pytest.mark.prove
 
 # Starts from which 40 random actions meet every limit: top speed, both walls, the goal.
 STARTS = {
@@ -20,6 +24,7 @@ STARTS = {
 }
 
 
+@pytest.mark.prove
 @pytest.mark.parametrize("plant", STARTS)
 def test_a_step_is_that_of_gymnasium(plant):
     """Transitions of the real environment under random actions, each made again in float32."""
@@ -44,6 +49,33 @@ def test_a_step_is_that_of_gymnasium(plant):
     assert np.array_equal(np.asarray(alive) < 0.5, seen["ended"])
     if plant is MountainCar:
         assert np.any(seen["ended"]) and np.any(np.isclose(seen["after"][:, 0], -1.2))
+
+
+@pytest.mark.parametrize("size", ("pendulum", "mountain-car"))
+def test_a_template_is_compared_with_gymnasium(size):
+    file, data = load(DOMAIN.templates[size] / "case.toml")
+    case = DOMAIN.read(file, data)
+    check_same(plant_at(case), case.inputs, objective_of(case))
+
+
+@pytest.mark.parametrize(
+    ("table", "keys", "message"),
+    [
+        ("plant", {"mass": 1.2}, "plant.mass: got 1.2; it must be 1, as in Pendulum-v1"),
+        ("plant", {"horizon": 100}, "plant.horizon: got 100; it must be 200, as in Pendulum-v1"),
+        ("start", {"speed": {"at": 0.5}},
+         "start.speed: got { at = 0.5 }; it must be { low = -1, high = 1 }, as in Pendulum-v1"),
+        ("measurement", {"speed": 0.1}, "no noise"),
+        ("objective", {"kind": "cvar", "level": 0.9}, "the case has another objective"),
+    ],
+)  # fmt: skip
+def test_another_problem_than_gymnasiums_is_refused(table, keys, message):
+    file, data = load(DOMAIN.templates["pendulum"] / "case.toml")
+    changed = {"training": {}, table: data.get(table, {}) | keys}
+    case = DOMAIN.read(file, data | changed)
+    with pytest.raises(CaseError) as caught:
+        check_same(plant_at(case), case.inputs, objective_of(case))
+    assert message in str(caught.value) and "\n" not in str(caught.value)
 
 
 def transitions(plant) -> dict[str, np.ndarray]:

@@ -70,10 +70,10 @@ def classical_rules(plant: Plant, inputs) -> dict[str, Policy]:
     policies: dict[str, Policy] = dict(plant.hand_rules(p))
     if not plant.rests:
         return {"no action": Constant(np.zeros(plant.action.size, np.float32)), **policies}
-    size = sum(n for _, n in plant.sizes)
+    size = sum(plant.sizes.values())
     policies["no action"] = LinearFeedback(plant, p, np.zeros((1, plant.action.size, size)))
     if gains := plant.proportional(p):
-        nothing = {name: np.zeros((plant.action.size, n)) for name, n in plant.sizes}
+        nothing = {name: np.zeros((plant.action.size, n)) for name, n in plant.sizes.items()}
         item = {name: gains[name][:, None] if name in gains else nothing[name] for name in nothing}
         rows = np.concatenate([item[name] for name in sorted(item)], axis=1)
         policies["proportional"] = LinearFeedback(plant, p, rows[None])

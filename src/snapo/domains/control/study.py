@@ -8,7 +8,6 @@ import jax
 import jax.numpy as jnp
 import numpy as np
 
-from snapo.case.error import CaseError
 from snapo.case.objective import make_objective
 from snapo.problem.inputs import named_inputs
 from snapo.problem.objective import Objective
@@ -27,7 +26,7 @@ from snapo.study.ready import with_auto
 from snapo.study.study import Setup, Study, StudyRun, Today
 from snapo.study.training import TRAINING, trained
 
-from .chapters.baselines import BASELINES, GYMNASIUM
+from .chapters.baselines import BASELINES, GYMNASIUM, check_same
 from .chapters.costs import reward_and_costs
 from .chapters.plane import PLANE
 from .kinds import MEASURED
@@ -57,9 +56,7 @@ def study(case: ControlCase, options: Options) -> Study:
     assert isinstance(plant, Plant)
     chapters = [DISTRIBUTION, PROFILE, MOVES, BASELINES, PLANE]
     if options.reference:
-        if not plant.twin:
-            message = f'Gymnasium has no environment for the plant "{plant.type}"'
-            raise CaseError("--reference", "", None, message)
+        check_same(plant, case.inputs, setup.problem.objective)
         chapters.append(GYMNASIUM)
     parts = [TRAINING, *(chapter.part for chapter in [*chapters, CERTIFICATE])]
     about = {

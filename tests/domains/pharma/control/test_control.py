@@ -39,6 +39,19 @@ def test_stages_are_where_something_is_decided_or_measured():
     assert decided(*parts, "reactor") == (0,) and decided(*parts, "") == (1,)
 
 
+def test_a_decision_has_the_ramp_of_its_profile_by_default():
+    """0.6 K/min in the template are 0.01 K/s; other numbers have no limit."""
+    cooling = {"of": "crystalliser.temperature", "low": "273 K", "high": "314 K"}
+    heating = {"of": "reactor.temperature", "low": "303 K", "high": "323 K"}
+    wash = {"of": "filter.wash_ratio", "low": 1, "high": 4}
+    case = control(manipulated=[cooling, heating, wash])
+    assert case.control is not None
+    ramp, *others = [item.ramp for item in case.control.manipulated]
+    assert ramp == pytest.approx(0.01) and others == [None, None]
+    other = control(manipulated=[cooling | {"ramp": "1.5 K/min"}]).control
+    assert other is not None and other.manipulated[0].ramp == pytest.approx(0.025)
+
+
 def test_what_is_measured_must_be_known_in_time():
     sensor = {"state": "dryer.solvent", "error": 0, "centre": 0, "width": 1}
     with pytest.raises(CaseError, match="there is no such state"):

@@ -5,9 +5,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from scipy.stats import t as student
-from tests.domains.pharma.pharma_cases import FirstOrder, template
+from tests.domains.pharma.pharma_cases import FirstOrder, fast, template
 
 from snapo.domains.pharma.chapters.estimation import validate
+from snapo.domains.pharma.flowsheet.process import PharmaProcess
 from snapo.domains.pharma.quality import estimation
 from snapo.domains.pharma.quality.records import Estimation, Experiment
 
@@ -97,3 +98,29 @@ def test_a_batch_held_out_is_predicted_with_its_interval():
     assert first.inside >= 8 and second.inside <= 1 and second.tail < 1e-6
     assert checked.coverage == (first.inside + second.inside) / 18
     assert validate(process, replace(asked, held_out=()), found) is None
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("method", ("mesh", "adaptive"))
+def test_a_fit_with_either_method_of_integration(method):
+    """c = exp(-k t): with measurements of k = 0.02 1/s, d c / d ln k = -c k t, and the variance of
+    ln k is one over the sum of their squares over those of the errors. The steps of a mesh have
+    relative errors of about 1e-5."""
+    process, times = PharmaProcess(fast(0.025, method=method)), np.array([30.0, 60.0, 120.0])
+    states = ("reactor.concentration.A",) * 3
+    c = np.exp(-0.02 * times)
+    batch = Experiment("b", (), times, states, c, np.full(3, 2e-3))
+    requested = Estimation(
+        ("kinetics.prefactor",), (0,), (True,), (1e-3,), (1e-1,), (batch,), 0.95,
+        held_out=(replace(batch, name="again"),), starts=1,
+    )  # fmt: skip
+    result = estimation.fit(process, requested)
+    assert process.case.numerics.method == method
+    assert result.converged and result.values == pytest.approx([0.02], rel=5e-5)
+    slope = -c * 0.02 * times / 2e-3
+    assert result.covariance[0, 0] == pytest.approx(1 / (slope @ slope), rel=2e-4)
+    tests = validate(process, requested, result)
+    assert tests is not None
+    deviation = np.abs(slope) * 2e-3 / np.sqrt(slope @ slope)
+    np.testing.assert_allclose(tests.deviation, deviation, rtol=2e-4)
+    np.testing.assert_allclose(tests.predicted, c, rtol=1e-4)

@@ -340,3 +340,25 @@ def test_a_mistake_in_the_data_is_named(mistake, case, capsys):
     said = refused(case, capsys)
     for name in named:
         assert name in said, said
+
+
+@pytest.mark.parametrize(
+    ("held", "where"),
+    [
+        ("kinetics.prefactor", "estimation.fit[0].of"),
+        ("kinetics.activation", "estimation.experiments.one.settings"),
+    ],
+)
+def test_a_number_that_an_estimation_moves_cannot_be_held(held, where, case, capsys):
+    setting = '"kinetics.activation[product]" = "41 kJ/mol"'
+    more = ESTIMATION.replace('"reactor.temperature" = "303 K"', setting)
+    file = case / "case.toml"
+    text = file.read_text(encoding="utf-8")
+    (case / "one.csv").write_text(DATA + DATA.splitlines()[1].replace("600", "1800") + "\n")
+    file.write_text(text + more, encoding="utf-8")
+    assert main(["check", str(case)]) == 0
+    capsys.readouterr()
+    held_too = text.replace('# held = ["charge.temperature"]', f'held = ["{held}"]')
+    file.write_text(held_too + more, encoding="utf-8")
+    message = "this number is in the list `held`, whose numbers cannot be varied"
+    assert refused(case, capsys) == f"{file}, {where}: got '{held}'; {message}."

@@ -1,14 +1,16 @@
 """Compares the trained policy with classical rules, the optimum in closed form, and Gymnasium."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.case.error import show as shown
 from snapo.engine import Xla
 from snapo.problem.inputs import plain
+from snapo.problem.objective import Mean, Objective
 from snapo.problem.policy import Policy
 from snapo.report.folder import RunFiles
 from snapo.report.missing import why_missing
@@ -46,8 +48,8 @@ class Baseline:
 
 @dataclass(frozen=True)
 class Baselines:
-    """The rules, with the best first; `optimum`: the optimum in closed form, None if there is
-    none."""
+    """The rules, with the best first; `optimum`: the largest mean reward in closed form, None if it
+    is unknown or the objective is not the mean reward."""
 
     rivals: tuple[Baseline, ...]
     optimum: float | None = None
@@ -68,7 +70,8 @@ def measure(run: StudyRun) -> Baselines:
         gap = of_shares(trained - shares)
         rules.append(Baseline(name, float(np.mean(shares)), gap.value, gap.standard_error))
     rules.sort(key=lambda rule: -rule.value)
-    return Baselines(tuple(rules), optimum(plant, plain(problem.inputs)))
+    best = optimum(plant, plain(problem.inputs)) if isinstance(objective, Mean) else None
+    return Baselines(tuple(rules), best)
 
 
 def plant_of(run: StudyRun) -> Plant:
@@ -79,7 +82,7 @@ def plant_of(run: StudyRun) -> Plant:
 
 
 def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
-    """A ladder of rewards, and the advantage of the policy over each rule."""
+    """A ladder of values, and the advantage of the policy over each rule."""
     value = run.result.value
     rules = [rule for rule in result.rivals if np.isfinite(rule.value)]
     if not rules or value is None:
@@ -90,13 +93,15 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
         bars.append(Bar("optimum, in closed form", result.optimum))
     digits = decimals([bar.value for bar in bars], 5)
     bars.sort(key=lambda bar: -bar.value)
+    objective = str(run.get("objective", "objective"))
     columns = (
         Column("Rule", "name"),
-        Column("Reward", "value"),
+        Column("Value", "value"),
         Column("Policy earns more", lambda x: WithError(x.less, x.less_error), sign=True),
     )
+    caption = f"{objective[:1].upper()}{objective[1:]}; higher is better."
     blocks: list[Block] = [
-        ladder("rivals-ladder", bars, "Mean reward of an episode; higher is better.", digits),
+        ladder("rivals-ladder", bars, caption, digits),
         table(
             rules,
             columns,
@@ -104,8 +109,8 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
             decimal_places=digits,
         ),
     ]
-    if (best := result.optimum) is not None:
-        share = 100 * (best - value) / abs(best) if best else 0.0
+    if best := result.optimum:
+        share = 100 * (best - value) / abs(best)
         blocks.append(Text(f"The policy costs {share:.2f} % more than the optimum in closed form."))
     if (real := GYMNASIUM.of(run)) is not None:
         mean, error = number(real.mean, 2), plus_minus(real.standard_error, 2)
@@ -152,27 +157,44 @@ def play_twin(run: StudyRun) -> TwinReward:
     from snapo.gym.environments import play
 
     problem, plant, policy = run.setup.problem, plant_of(run), run.solution.policy
-    _check_same(plant, plain(problem.inputs))
     assert policy is not None
     played = play(agent(plant, policy, problem.inputs), plant.twin, STARTS)
     return TwinReward(plant.twin, played.mean, played.standard_error, STARTS)
 
 
-def _check_same(plant: Plant, values: Any) -> None:
-    """Refuses a case whose numbers differ from the numbers of the environment."""
-    usual = plain(make_inputs(type(plant)))
-    for group in ("plant", "cost"):
-        for name, value in values[group].items():
-            if not np.array_equal(value, usual[group][name]):
-                allowed = (
-                    f"it must be {usual[group][name]:g}, as in {plant.twin}; or leave out "
-                    "--reference"
-                )
-                raise CaseError("--reference", f"{group}.{name}", float(value), allowed)
-    if values["noise"] or values["measurement"] or plant.time_feature:
+def check_same(plant: Plant, inputs: Any, objective: Objective) -> None:
+    """Refuses a case that differs from the environment, or does not maximise the mean reward."""
+    if not plant.twin:
+        message = f'Gymnasium has no environment for the plant "{plant.type}"'
+        raise CaseError("--reference", "", None, message)
+    values, usual = _settings(inputs), _settings(make_inputs(type(plant)))
+    values["plant.horizon"], usual["plant.horizon"] = plant.horizon, plant.steps
+    for name, value in values.items():
+        if value != usual[name]:
+            allowed = (
+                f"it must be {shown(usual[name])}, as in {plant.twin}; or leave out --reference"
+            )
+            raise CaseError("--reference", name, value, allowed)
+    if plant.disturbed_parts or plant.measured or plant.time_feature:
         allowed = f"{plant.twin} has no disturbances, no noise and no observed time; "
         allowed += "leave --reference out"
         raise CaseError("--reference", "", None, allowed)
+    if not isinstance(objective, Mean):
+        allowed = f"the episodes of {plant.twin} give a mean reward, and the case has another "
+        allowed += "objective; leave --reference out"
+        raise CaseError("--reference", "objective.kind", None, allowed)
+
+
+def _settings(inputs: Any) -> dict[str, Any]:
+    """{"plant.mass": number, "start.angle": {"low": number, ...}, ...}."""
+
+    def numbers(x: Any) -> Any:
+        if isinstance(x, Mapping):
+            return {key: numbers(y) for key, y in x.items()}
+        return float(x.value)
+
+    groups = ("plant", "cost", "start")
+    return {f"{group}.{key}": numbers(x) for group in groups for key, x in inputs[group].items()}
 
 
 GYMNASIUM = Chapter(

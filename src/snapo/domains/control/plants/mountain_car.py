@@ -45,7 +45,7 @@ class MountainCar(MountainCarKind, Plant):
     def cost(self, w, p, state, u):
         return {"effort": w["effort"] * u[0] ** 2}
 
-    def step(self, constants, now, state, action, noise, smooth):
+    def unmeasured(self, constants, now, state, action, noise, smooth):
         p, w, alive = constants["plant"], constants["cost"], state["alive"]
         effort = alive * self.cost(w, p, state, action)["effort"]
         after = self.disturbed(now, self.move(p, state, action, smooth), noise)

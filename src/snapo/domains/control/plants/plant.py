@@ -5,6 +5,7 @@ distribution of its initial state and its disturbances are inputs, so that each 
 """
 
 import abc
+import math
 from collections.abc import Callable, Mapping
 from typing import Any
 
@@ -32,8 +33,7 @@ class Plant(PlantKind, Simulator):
     - `horizon`: number of steps; `time_feature`: whether the policy sees the share of the horizon
       that is left.
     - `starts`: ((state, keys of its distribution), …) for all states.
-    - `disturbed_parts`: the states with a disturbance; `sizes`: pairs (state, the count of its
-      numbers).
+    - `disturbed_parts`: the states with a disturbance; `shapes`: pairs (state, its shape).
     - `measured`: the states that are observed with measurement noise; the other states are observed
       exactly.
     """
@@ -42,7 +42,7 @@ class Plant(PlantKind, Simulator):
     time_feature: bool = eqx.field(static=True)
     starts: tuple[tuple[str, tuple[str, ...]], ...] = eqx.field(static=True)
     disturbed_parts: tuple[str, ...] = eqx.field(static=True)
-    sizes: tuple[tuple[str, int], ...] = eqx.field(static=True)
+    shapes: tuple[tuple[str, tuple[int, ...]], ...] = eqx.field(static=True)
     measured: tuple[str, ...] = eqx.field(static=True)
     action: Actions
 
@@ -57,8 +57,7 @@ class Plant(PlantKind, Simulator):
         self.time_feature = self.sees_time if timer is None else timer
         self.starts = tuple((name, tuple(inputs["start"][name])) for name in self.states)
         self.disturbed_parts = tuple(name for name in self.states if name in inputs["noise"])
-        sizes = {name: np.size(any_of(inputs["start"][name])) for name in self.states}
-        self.sizes = tuple(sizes.items())
+        self.shapes = tuple((name, np.shape(any_of(inputs["start"][name]))) for name in self.states)
         self.measured = tuple(name for name in self.states if name in inputs.get(MEASURED, {}))
         self.action = self.decisions(inputs)
 
@@ -67,12 +66,17 @@ class Plant(PlantKind, Simulator):
         return Box(-1.0, 1.0, len(self.actions))
 
     @property
+    def sizes(self) -> dict[str, int]:
+        """{state: the count of its numbers}."""
+        return {name: math.prod(shape) for name, shape in self.shapes}
+
+    @property
     def noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        return sum(dict(self.sizes)[name] for name in (*self.disturbed_parts, *self.measured))
+        return sum(self.sizes[name] for name in (*self.disturbed_parts, *self.measured))
 
     @property
     def initial_noise_size(self) -> int:  # pyright: ignore[reportIncompatibleVariableOverride]
-        sizes = dict(self.sizes)
+        sizes = self.sizes
         drawn = sum(sizes[name] for name, keys in self.starts if len(keys) > 1)
         return drawn + sum(sizes[name] for name in self.measured)
 
@@ -104,8 +108,7 @@ class Plant(PlantKind, Simulator):
 
     def target_at(self, p: PlantValues) -> dict[str, np.ndarray]:
         """The state at which the plant should rest, by default 0."""
-        shapes = {name: (n,) if n > 1 else () for name, n in self.sizes}
-        return {name: np.zeros(shapes[name]) for name in self.states}
+        return {name: np.zeros(shape) for name, shape in self.shapes}
 
     def rest(self, p: PlantValues) -> np.ndarray:
         """[m] the physical action that holds the plant at its target."""
@@ -140,7 +143,7 @@ class Plant(PlantKind, Simulator):
         return Schedule(constants, steps)
 
     def initial(self, constants, noise):
-        state, used, sizes = {}, 0, dict(self.sizes)
+        state, used, sizes = {}, 0, self.sizes
         for name, keys in self.starts:
             values = constants["start"][name]
             shape = jnp.shape(any_of(values))
@@ -163,12 +166,16 @@ class Plant(PlantKind, Simulator):
         return jnp.append(observed, now["left"]) if self.time_feature else observed
 
     def step(self, constants, now, state, action, noise, smooth):
+        after, result = self.unmeasured(constants, now, state, action, noise, smooth)
+        errors = noise[noise.shape[0] - sum(self.sizes[name] for name in self.measured) :]
+        return self.read_off(constants, after, errors), result
+
+    def unmeasured(self, constants, now, state, action, noise, smooth):
+        """The state after one step with its disturbances, not yet measured, and the outputs."""
         p = constants["plant"]
         u = self.drive(p, action)
         parts = self.cost(constants["cost"], p, state, u)
-        after = self.disturbed(now, self.move(p, state, u, smooth), noise)
-        errors = noise[noise.shape[0] - sum(dict(self.sizes)[name] for name in self.measured) :]
-        return self.read_off(constants, after, errors), outputs(parts)
+        return self.disturbed(now, self.move(p, state, u, smooth), noise), outputs(parts)
 
     def terminal(self, constants, state, smooth):
         parts = self.final_cost(constants["cost"], constants["plant"], state)
@@ -178,7 +185,7 @@ class Plant(PlantKind, Simulator):
         """The state with its measured values, which have independent errors."""
         if not self.measured:
             return state
-        observed, used, sizes = {}, 0, dict(self.sizes)
+        observed, used, sizes = {}, 0, self.sizes
         for name in self.measured:
             z = noise[used : used + sizes[name]].reshape(state[name].shape)
             used += sizes[name]
@@ -190,7 +197,7 @@ class Plant(PlantKind, Simulator):
         matrix."""
         state, used = dict(state), 0
         for name in self.disturbed_parts:
-            n = dict(self.sizes)[name]
+            n = self.sizes[name]
             z = noise[used : used + n]
             used += n
             by = now[name]

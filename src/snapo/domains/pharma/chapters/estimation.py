@@ -16,6 +16,7 @@ from snapo.report.quantity import finite, number, percent, power, with_unit
 from snapo.study.chapter import Chapter, Floats, Number
 from snapo.study.study import StudyRun
 
+from ..derivatives.mode import of_method
 from ..flowsheet.case import PharmaCase
 from ..flowsheet.process import PharmaProcess
 from ..quality.boundary import interval
@@ -74,8 +75,9 @@ def validate(
         results = model(numbers_of(x, log))
         return results, results
 
+    derivative = of_method(process.case.numerics.method)
     with jax.enable_x64(True):
-        slope, result = jax.jit(jax.jacfwd(both, has_aux=True))(variables_of(fit.values, log))
+        slope, result = jax.jit(derivative(both, has_aux=True))(variables_of(fit.values, log))
     slope, predicted = np.asarray(slope), np.asarray(result)
     measured = np.concatenate([entry.value for entry in estimation.held_out])
     error = np.concatenate([value.error for value in estimation.held_out])

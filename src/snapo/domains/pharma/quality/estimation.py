@@ -23,6 +23,7 @@ from scipy.special import chdtrc, gammaincinv, stdtrit
 
 from snapo.study.chapter import Floats, Number
 
+from ..derivatives.mode import of_method
 from ..derivatives.sensitivities import entry_name
 from .records import Estimation, Experiment
 
@@ -89,7 +90,7 @@ def fit(process: "PharmaProcess", estimation: Estimation) -> ParameterFit:
     measured = np.concatenate([item.value for item in estimation.experiments])
 
     residual = jax.jit(lambda x: (model(numbers_of(x, log)) - measured) / error)
-    slope = jax.jit(jax.jacfwd(residual))
+    slope = jax.jit(of_method(process.case.numerics.method)(residual))
     from scipy.stats import qmc  # late: it takes a second to load
 
     shares = qmc.Halton(len(local), scramble=False).random(estimation.starts)[1:]

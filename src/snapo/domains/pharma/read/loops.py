@@ -171,8 +171,10 @@ def read_control(
     margin = table.solubility_margin
     if margin is not None:
         margin = number(section, "solubility_margin", margin, "1", POSITIVE)
+    ramps = {profile.value.name: profile.ramp for x in timed(units) for profile in x.profiles}
     manipulated = tuple(
-        _manipulated(file, entry, i, numbers, notes) for i, entry in enumerate(table.manipulated)
+        _manipulated(file, entry, i, numbers, ramps, notes)
+        for i, entry in enumerate(table.manipulated)
     )
     sensors = tuple(
         _measurement(file, measurement, i, available, notes)
@@ -191,7 +193,8 @@ def read_control(
     )
 
 
-def _manipulated(file, raw, i: int, numbers: EntryNumbers, notes) -> Manipulated:
+def _manipulated(file, raw, i: int, numbers: EntryNumbers, ramps, notes) -> Manipulated:
+    """`ramps`: {profile: its largest change per second, None without limit}, the defaults."""
     section = TableContext(file, f"control.manipulated[{i}]", notes)
     table = parse(ManipulatedTable, raw, str(file), section.name)
     name = table.of
@@ -205,7 +208,7 @@ def _manipulated(file, raw, i: int, numbers: EntryNumbers, notes) -> Manipulated
         raise section.error("high", table.high, "high must be above low")
     numbers.check(section, "low", table.low, (name, 0), low)
     numbers.check(section, "high", table.high, (name, 0), high)
-    ramp = None
+    ramp = ramps.get(name)
     if table.ramp is not None:
         ramp = number(section, "ramp", table.ramp, f"{unit}/s", POSITIVE, difference=True)
     return Manipulated(name, low, high, ramp)

@@ -125,7 +125,7 @@ class ManipulatedTable(CaseTable):
     )
     low: Any = quantity("lower bound", '"273 K"')
     high: Any = quantity("upper bound", '"313 K"')
-    ramp: Any = quantity("fastest change, if limited", '"0.5 K/min"', None)
+    ramp: Any = quantity("fastest change; by default that of the profile", '"0.5 K/min"', None)
 
 
 class MeasurementTable(CaseTable):

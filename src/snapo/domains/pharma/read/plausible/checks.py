@@ -63,17 +63,21 @@ def check_decided(case: PharmaCase) -> None:
 
 
 def check_moved(case: PharmaCase) -> None:
-    """Numbers that are decided or uncertain cannot be held."""
+    """Numbers that are decided, uncertain, fitted or set by an experiment cannot be held."""
+    estimation = case.estimation
     tables = {
-        "optimise.decisions": case.optimise.decisions if case.optimise else (),
-        "control.manipulated": case.control.manipulated if case.control else (),
+        "optimise.decisions": [x.input for x in case.optimise.decisions] if case.optimise else (),
+        "control.manipulated": [x.input for x in case.control.manipulated] if case.control else (),
+        "estimation.fit": estimation.inputs if estimation else (),
     }
-    moved = [(f"{key}[{i}]", x.input) for key, xs in tables.items() for i, x in enumerate(xs)]
-    moved += [("uncertainty", name) for name in case.uncertainty.inputs]
+    moved = [(f"{key}[{i}].of", name) for key, xs in tables.items() for i, name in enumerate(xs)]
+    moved += [("uncertainty.of", name) for name in case.uncertainty.inputs]
+    for x in (*estimation.experiments, *estimation.held_out) if estimation else ():
+        moved += [(f"estimation.experiments.{x.name}.settings", name) for name, *_ in x.settings]
     for where, name in moved:
         if name in case.held:
             message = "this number is in the list `held`, whose numbers cannot be varied"
-            raise CaseError(str(case.file), f"{where}.of", name, message)
+            raise CaseError(str(case.file), where, name, message)
 
 
 def check_varied_once(case: PharmaCase) -> None:
