@@ -106,8 +106,7 @@ def _evaluate(jaxpr, consts, values, mass, size: int):
     env = dict(zip(jaxpr.constvars, consts)) | dict(zip(jaxpr.invars, values))
     for eqn in jaxpr.eqns:
         inputs = [a.val if isinstance(a, jex.Literal) else env[a] for a in eqn.invars]
-        inner = next((eqn.params[k] for k in ("jaxpr", "call_jaxpr") if k in eqn.params), None)
-        if isinstance(inner, jex.ClosedJaxpr) and eqn.primitive.name in _CALLS:
+        if (inner := called(eqn)) is not None:
             out = _evaluate(inner.jaxpr, inner.consts, inputs, mass, size)
         else:
             inputs = _massed(eqn, inputs, mass, size)
@@ -118,6 +117,12 @@ def _evaluate(jaxpr, consts, values, mass, size: int):
 
 
 _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint")
+
+
+def called(eqn) -> jex.ClosedJaxpr | None:
+    """The program that an equation calls once, as that of a `jax.jit`; None for all others."""
+    inner = next((eqn.params[k] for k in ("jaxpr", "call_jaxpr") if k in eqn.params), None)
+    return inner if isinstance(inner, jex.ClosedJaxpr) and eqn.primitive.name in _CALLS else None
 
 
 def _massed(eqn, values, mass, size: int):
