@@ -127,7 +127,7 @@ def solve(
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
         measured_on = evaluation.within(problem.simulator.horizon)
-        run = MeasuredRun(problem, start, progress, plan, measured_on, engines)
+        run = MeasuredRun(problem, start, progress, plan, measured_on, engines, drawn)
         with shown(bar) as line:
             line.tell("measuring the policy" if progress.status != INTERRUPTED else MEASURING)
             measured = measure(run)
