@@ -71,6 +71,43 @@ def test_a_formula_of_sums_has_the_influence_of_its_closed_form(name):
     np.testing.assert_allclose(found, CLOSED[name].influence(TOTALS), rtol=1e-11, atol=1e-13)
 
 
+COUNTS = {
+    "share": lambda x: jnp.mean(x) - 10.0 * (jnp.sum(x < -1.0) / x.size),
+    "whole": lambda x: jnp.mean(x) - 10 * jnp.sum(jnp.where(x < -1.0, 1, 0)) / x.size,
+    "times": lambda x: jnp.mean(x) - (10 * jnp.sum(x < -1.0).astype(int) + 0) / x.size,
+    "product": lambda x: jnp.mean(x) - 10 / x.size * ((x < -1).astype(int) @ jnp.ones_like(x, int)),
+    "nonzero": lambda x: jnp.mean(x) - 10 * jnp.count_nonzero(x < -1.0) / x.size,
+    "two": lambda x: jnp.mean(x) - 10 * jnp.sum(jnp.stack([x, x + 9]) < -1, axis=1).max() / x.size,
+}
+FORMULAS |= COUNTS
+FORMULAS["only"] = lambda x: jnp.sum(x < -1.0) / x.size
+FORMULAS["mean of those"] = lambda x: jnp.sum(jnp.where(x < -1, x, 0)) / jnp.sum(x < -1)
+
+
+@pytest.mark.parametrize("name", COUNTS)
+def test_a_formula_that_counts_paths_has_the_influence_of_every_path(name):
+    """The count is a sum of whole numbers, and its slope is zero almost everywhere: without it the
+    deviation would be 1.0 and not 4.4."""
+    x = np.random.default_rng(1).normal(size=4000)
+    each = x - 10 * (x < -1)
+    found = Formula(name).influence({"x": x})
+    np.testing.assert_allclose(found, each, rtol=0, atol=1e-9)
+    assert found.std() == pytest.approx(4.4, abs=0.1)
+
+
+def test_a_count_without_anything_else_has_an_error():
+    """A share p has the deviation sqrt(p (1 - p)) of one path; the mean m of the paths in a tail of
+    the share p has the influence m + (x - m) / p within it, and m outside."""
+    x = np.random.default_rng(1).normal(size=4000)
+    within = x < -1
+    share, mean = within.mean(), x[within].mean()
+    found = Formula("only").influence({"x": x})
+    assert found.std() == pytest.approx(np.sqrt(share * (1 - share)), rel=1e-9)
+    found = Formula("mean of those").influence({"x": x})
+    expected = mean + np.where(within, x - mean, 0.0) / share
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
+
+
 def test_a_formula_with_a_sort_has_nearly_the_influence_of_its_closed_form():
     """The integral of the slopes is off by half the gap at the edge of the tail times its slope of
     10: gaps are 1 / (2,000 * 0.175) on average, and ten of these 0.03, make 0.15 at most."""

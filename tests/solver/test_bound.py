@@ -14,6 +14,7 @@ import pytest
 
 from snapo import Box, Input, Mean, Policy, Problem, Pseudo, Simulator, Xla
 from snapo.cli.answers import bounds, summary
+from snapo.problem.noise import Draws
 from snapo.problem.simulator import Schedule
 from snapo.solver.bound import Between, Bound, bound, nested_mean
 from snapo.study.chapters.bound import ValueBounds, sentence
@@ -103,7 +104,7 @@ class Rights:
     def __init__(self, rights: int, start: np.ndarray, draws: int = 16, error: float = 0.0):
         self.rights, self.start, self.draws, self.error = rights, start, draws, error
 
-    def surprises(self, logs: np.ndarray) -> np.ndarray:
+    def surprises(self, logs: np.ndarray, draws: Draws) -> np.ndarray:
         """[T, rights + 1, N] V at each date less its nested mean a date before."""
         found = np.zeros((DATES, self.rights + 1, logs.shape[1]))
         for t in range(1, DATES):
@@ -114,14 +115,15 @@ class Rights:
                 return (1 + self.error) * np.stack(rows)
 
             here = (logs[t] - base) / DEVIATION
-            mean = nested_mean(value, 1, logs.shape[1], self.draws, seed=t)
+            seed = t, int(draws.paths[0])  # of this block of paths
+            mean = nested_mean(value, 1, logs.shape[1], self.draws, seed)
             found[t] = value(here[None]) - mean
         return found
 
     def best(self, rolled, draws, scale):
         logs = np.asarray(rolled.record["state"]["log"])
         gain = DISCOUNT[:, None] * np.maximum(STRIKE * (1 - np.exp(logs)), 0.0)
-        charge = scale[0] * self.surprises(logs)
+        charge = scale[0] * self.surprises(logs, draws)
         value = np.zeros((self.rights + 1, logs.shape[1]))
         for t in reversed(range(DATES)):
             value[1:] = np.maximum(value[1:], gain[t] + value[:-1])
@@ -132,7 +134,7 @@ class Rights:
         state = rolled.record["state"]
         logs, left = np.asarray(state["log"]), np.asarray(state["left"]).astype(int)
         paths = np.arange(logs.shape[1])
-        charge = scale[0] * self.surprises(logs)
+        charge = scale[0] * self.surprises(logs, draws)
         return np.sum([charge[t][left[t], paths] for t in range(DATES)], axis=0)
 
 

@@ -13,7 +13,9 @@ from snapo.case.error import CaseError
 from snapo.cli.answers import by_seed
 from snapo.cli.main import main
 from snapo.problem.scenarios import EVALUATE, Pseudo, Supplied, stream
+from snapo.report.folder import RunResult
 from snapo.solver.evaluate import evaluate
+from snapo.solver.limits import LimitFound, best_first
 from snapo.solver.solution import Solution
 from snapo.study import commands, run_folder
 from snapo.study import seeds as table_of
@@ -181,18 +183,19 @@ def test_wrong_seeds_are_refused(given, capsys):
 # Which is the best, and what cannot be known.
 
 
-@pytest.mark.parametrize(
-    ("values", "within", "best"),
-    [
-        ([1.0, 3.0, 2.0], [True, True, True], 1),
-        ([np.nan, 3.0, -np.inf], [True, True, True], 1),
-        ([1.0, 3.0, 2.0], [True, False, True], 2),  # it breaks a limit
-        ([1.0, 3.0, 2.0], [False, False, False], 1),
-        ([np.nan, np.nan, np.nan], [True, True, True], 0),
-    ],
-)
-def test_the_best_is_chosen(values, within, best):
-    assert table_of._best(np.array(values), within) == best
+def run_of(spent: float, met: str, multiplier: float | None) -> RunResult:
+    """A run with a limit of 6 on the spending."""
+    limit = LimitFound("spent", 6.0, spent, 0.1, spent, spent, 0.0, 0.0, 0.5, met)
+    return RunResult.of({"limits": [limit._asdict() | {"multiplier": multiplier}]})
+
+
+def test_seeds_within_limits_come_first_and_violations_are_priced():
+    within, beyond = run_of(6.0, "met nearly", 0.5), run_of(8.0, "not met", 0.5)
+    far, failed = run_of(20.0, "not met", 0.1), run_of(7.0, "not met", None)
+    values = [(2.5, far), (3.0, beyond), (1.0, within), (np.nan, failed)]
+    found = [table_of._candidate(*item) for item in values]
+    assert [item.within for item in found] == [False, False, True, False]
+    assert best_first(found) == [2, 1, 0, 3]
 
 
 def test_without_other_paths_the_choice_is_told(two):

@@ -80,7 +80,11 @@ def _by_mass(objective, totals, size: int) -> np.ndarray | None:
     selected = np.random.default_rng(0).integers(0, size, size)
     mass = np.bincount(selected, minlength=size).astype(np.float64)
     expected = value(objective, {name: total[selected] for name, total in totals.items()})
-    if not np.isclose(weighted(mass, totals), expected, rtol=AGREEMENT, atol=0.0, equal_nan=True):
+    try:
+        result = weighted(mass, totals)
+    except TypeError:  # a count of paths where only a whole number is allowed
+        return None
+    if not np.isclose(result, expected, rtol=AGREEMENT, atol=0.0, equal_nan=True):
         return None
     return size * np.asarray(slopes(np.ones(size), totals))
 
@@ -106,18 +110,21 @@ def _evaluate(jaxpr, consts, values, mass, size: int):
     env = dict(zip(jaxpr.constvars, consts)) | dict(zip(jaxpr.invars, values))
     for eqn in jaxpr.eqns:
         inputs = [a.val if isinstance(a, jex.Literal) else env[a] for a in eqn.invars]
-        inner = next((eqn.params[k] for k in ("jaxpr", "call_jaxpr") if k in eqn.params), None)
-        if isinstance(inner, jex.ClosedJaxpr) and eqn.primitive.name in _CALLS:
+        if (inner := called(eqn)) is not None:
             out = _evaluate(inner.jaxpr, inner.consts, inputs, mass, size)
         else:
-            inputs = _massed(eqn, inputs, mass, size)
-            out = eqn.primitive.bind(*inputs, **eqn.primitive.get_bind_params(eqn.params))
-            out = out if eqn.primitive.multiple_results else [out]
+            out = _results(eqn, _massed(eqn, inputs, mass, size))
         env.update(zip(eqn.outvars, out))
     return [a.val if isinstance(a, jex.Literal) else env[a] for a in jaxpr.outvars]
 
 
 _CALLS = ("jit", "pjit", "closed_call", "custom_jvp_call", "custom_vjp_call", "remat", "checkpoint")
+
+
+def called(eqn) -> jex.ClosedJaxpr | None:
+    """The program that an equation calls once, as that of a `jax.jit`; None for all others."""
+    inner = next((eqn.params[k] for k in ("jaxpr", "call_jaxpr") if k in eqn.params), None)
+    return inner if isinstance(inner, jex.ClosedJaxpr) and eqn.primitive.name in _CALLS else None
 
 
 def _massed(eqn, values, mass, size: int):
@@ -130,10 +137,42 @@ def _massed(eqn, values, mass, size: int):
         return values
     first = values[0]
     for axis in axes:
-        if first.shape[axis] == size and jnp.issubdtype(first.dtype, jnp.floating):
+        if first.shape[axis] == size:
             shape = [size if i == axis else 1 for i in range(first.ndim)]
-            first = first * mass.reshape(shape)
+            first = first * mass.reshape(shape)  # a float, also if whole numbers are counted
     return [first, *values[1:]]
+
+
+_COUNTS = (
+    "add", "sub", "mul", "neg", "abs", "max", "min", "integer_pow", "square", "select_n",
+    "eq", "ne", "lt", "le", "gt", "ge", "reduce_sum", "reduce_max", "reduce_min", "dot_general",
+    "broadcast_in_dim", "reshape", "squeeze", "concatenate", "slice", "copy",
+)  # fmt: skip
+
+
+def _results(eqn, values) -> list:
+    """The results of an equation. If an operand is a count of paths, which masses have made a
+    float, all whole numbers become floats.
+
+    **Raises:** `TypeError` for an equation that needs whole numbers.
+    """
+    params, name = eqn.primitive.get_bind_params(eqn.params), eqn.primitive.name
+    if any(_is_float(value) and not _is_float(var.aval) for value, var in zip(values, eqn.invars)):
+        if name == "convert_element_type":
+            kind = params["new_dtype"]
+            return [values[0].astype(jnp.float64 if jnp.issubdtype(kind, jnp.integer) else kind)]
+        if name not in _COUNTS:
+            raise TypeError(f"{name} of a count of paths")
+        whole = [jnp.issubdtype(jnp.result_type(value), jnp.integer) for value in values]
+        values = [jnp.asarray(x, jnp.float64) if is_ else x for x, is_ in zip(values, whole)]
+        if name == "dot_general":
+            params |= {"preferred_element_type": np.dtype(np.float64)}
+    out = eqn.primitive.bind(*values, **params)
+    return out if eqn.primitive.multiple_results else [out]
+
+
+def _is_float(value) -> bool:
+    return jnp.issubdtype(jnp.result_type(value), jnp.floating)
 
 
 def _by_slope(objective, totals, size: int) -> np.ndarray:

@@ -12,7 +12,7 @@ The same penalty along the policy's path has mean zero, so it is taken from the 
 a control variate, and the gap of a path, perfect foresight minus policy, is never negative.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, replace
 from typing import Any, Literal, NamedTuple
 
@@ -220,13 +220,21 @@ def bound(
 
 
 def nested_mean(
-    value: Callable[[np.ndarray], np.ndarray], size: int, paths: int, draws: int, seed: int
+    value: Callable[[np.ndarray], np.ndarray],
+    size: int,
+    paths: int,
+    draws: int,
+    seed: int | Sequence[int],
 ) -> np.ndarray:
     """[paths] the mean of `value` over nested draws, for an expectation without a closed form.
 
     `value` takes standard normals [size, paths] and returns [..., paths]. Each path has separate
     draws, in antithetic pairs. The estimate is unbiased, so a penalty computed with it still has
     mean zero; its noise only widens the bound (Andersen and Broadie 2004).
+
+    A bound is computed in blocks of paths. `seed` must differ between blocks and steps, for example
+    `(t, int(draws.paths[0]))` with the `draws` of a block: with equal seeds the paths of all blocks
+    would have the same nested draws, and standard errors would be too small.
     """
     random = np.random.default_rng(seed)
     total = 0.0

@@ -20,7 +20,7 @@ objective may be far larger than the effect of all decisions, and a price that i
 drives decisions to a bound of their set, where derivatives vanish.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import NamedTuple
 
 import jax
@@ -31,11 +31,12 @@ from snapo.problem.noise import Draws
 from snapo.problem.objective import Limit, Objective, Totals
 from snapo.problem.policy import Policy, trainable
 from snapo.problem.problem import Problem
+from snapo.problem.scenarios import Scenarios
 from snapo.problem.smooth import Smooth
 
 from .adjoint import weighted_adjoint
-from .evaluate import value_of_groups
-from .statistics import of_shares, plus_minus
+from .evaluate import value_of, value_of_groups
+from .statistics import Sampled, of_shares, plus_minus
 
 
 def slope_of(
@@ -126,6 +127,7 @@ def _deviation(objective: Objective, totals: Totals) -> float:
 BLOCKS, PATHS = 16, 4096  # of the shadow prices
 NEARLY = 1e-3  # of a path's deviation in the measure
 ROOM = 0.1  # of it: training's paths place a measure no better than that
+NOT_MET = "not met"
 ALIKE = 1e-5  # of the level: round-off of a policy in float32, where all paths are the same
 
 
@@ -181,6 +183,14 @@ def _alike(half: float, level: float) -> float:
     return max(half, ALIKE * abs(level))
 
 
+def _met(limit: Limit, totals: Totals, result: Sampled) -> str:
+    """How a limit is met, from the result of its measure on these totals."""
+    excess, half = limit.sign * (result.value - limit.level), result.value - result.interval()[0]
+    nearly = NEARLY * float(limit.measure.influence(totals).std())
+    outside = excess > max(_alike(half, limit.level), nearly)
+    return "met" if excess <= 0 else NOT_MET if outside else "met nearly"
+
+
 def limits_found(
     problem: Problem, policy: Policy, totals: Totals, dual: Dual, smooth: Smooth, engine: Engine
 ) -> tuple[LimitFound, ...]:
@@ -199,10 +209,10 @@ def limits_found(
             result.value - result.interval()[0],
         )
         deviation = float(limit.measure.influence(totals).std())
-        same = _alike(half, limit.level)
-        binds[i] = multipliers[i] > 0 and -excess <= max(same, ROOM * deviation)
-        outside = excess > max(same, NEARLY * deviation)
-        met.append("met" if excess <= 0 else "not met" if outside else "met nearly")
+        binds[i] = multipliers[i] > 0 and -excess <= max(
+            _alike(half, limit.level), ROOM * deviation
+        )
+        met.append(_met(limit, totals, result))
     prices, errors = _prices(problem, policy, binds, smooth, engine)
     return tuple(
         LimitFound(
@@ -213,13 +223,63 @@ def limits_found(
     )  # fmt: skip
 
 
+class Candidate(NamedTuple):
+    """A policy among several that are compared under the same limits.
+
+    - `value`: the objective; `within`: whether all limits are met, or nearly met.
+    - `beyond`, `prices`: for every limit the measure minus the level, and the price of a unit of it
+      in training; negative for a lower limit.
+    """
+
+    value: float
+    within: bool = True
+    beyond: tuple[float, ...] = ()
+    prices: tuple[float, ...] = ()
+
+    @classmethod
+    def of(cls, value: float, limits: Iterable[LimitFound]) -> "Candidate":
+        """The candidate of a measured policy."""
+        limits = tuple(limits)
+        within = all(item.met != NOT_MET for item in limits)
+        beyond = tuple(item.value - item.level for item in limits)
+        return cls(value, within, beyond, tuple(item.multiplier for item in limits))
+
+    @classmethod
+    def on(cls, problem: Problem, totals: Totals, source: Scenarios, dual: Dual) -> "Candidate":
+        """The candidate with these exact totals on paths of a source."""
+        limits = problem.constraints
+        results = [of_shares(value_of_groups(item.measure, totals, source)) for item in limits]
+        within = all(_met(limit, totals, x) != NOT_MET for limit, x in zip(limits, results))
+        beyond = tuple(x.value - limit.level for limit, x in zip(limits, results))
+        prices = tuple(limit.sign * price for limit, price in zip(limits, dual.prices))
+        return cls(value_of(problem.objective, totals), within, beyond, prices)
+
+
+def best_first(candidates: Sequence[Candidate]) -> list[int]:
+    """The positions of policies, the best one first.
+
+    Policies within the limits come first, by their values. Then the others by their values minus
+    the prices of what is beyond the limits; the price of a limit is the largest that any of the
+    policies has. A policy without a finite value is last.
+    """
+    priced = [item.prices for item in candidates if item.prices]
+    prices = [max(column, key=abs) for column in zip(*priced)]
+
+    def key(position: int) -> tuple[int, float]:
+        value, within, beyond, _ = candidates[position]
+        cost = 0.0 if within else sum(a * b for a, b in zip(prices, beyond))
+        return (1 - within, cost - value) if np.isfinite(value - cost) else (2, 0.0)
+
+    return sorted(range(len(candidates)), key=key)
+
+
 def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:
     """Sentences on the limits that are not met, and on those with slack."""
     return tuple(sentence for item in limits if (sentence := _note(item)))
 
 
 def _note(limit: LimitFound) -> str:
-    if limit.met == "not met":
+    if limit.met == NOT_MET:
         return (
             f"Limit not met on fresh paths: {limit}. Try more steps; the limit may also be "
             "infeasible."

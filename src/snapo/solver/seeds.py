@@ -19,6 +19,7 @@ from . import statistics
 from .evaluate import value_of_groups
 from .learning.progress import INTERRUPTED
 from .learning.settings import Training
+from .limits import Candidate, best_first
 from .solution import Solution
 from .solve import Evaluation, in_order, solve
 
@@ -29,7 +30,8 @@ class Seeds:
     policies.
 
     - `solutions`: {seed: solution}, in the requested order.
-    - `best`: the seed with the highest value. It is the best of several on the same paths: a fresh
+    - `best`: the seed with the highest value, among those within the limits of the problem if there
+      are any (see `solver.limits.best_first`). It is the best of several on the same paths: a fresh
       evaluation of `solutions[best].policy` has no selection bias.
     """
 
@@ -42,8 +44,11 @@ class Seeds:
 
     @property
     def best(self) -> int:
-        values = self.values
-        return max(values, key=lambda seed: np.nan_to_num(values[seed], nan=-np.inf))
+        return list(self.solutions)[best_first(list(self._candidates().values()))[0]]
+
+    def _candidates(self) -> dict[int, Candidate]:
+        items = self.solutions.items()
+        return {seed: Candidate.of(found.value, found.constraints) for seed, found in items}
 
     def behind(self, seed: int) -> statistics.Sampled:
         """The difference between the best value and that of a seed, paired path by path."""
@@ -63,14 +68,17 @@ class Seeds:
             f"{len(values)} seeds: {values.min():.6g} to {values.max():.6g}, "
             f"mean {values.mean():.6g}{spread}; ± is half of a 95 % interval"
         ]
+        candidates = self._candidates()
         for seed, solution in self.solutions.items():
             behind = self.behind(seed)
-            amount = statistics.rounded(behind.value, 3)
-            below = f"{amount} {statistics.plus_minus(behind.standard_error)} below the best"
+            amount = statistics.rounded(abs(behind.value), 3)
+            side = "above" if behind.value < 0 else "below"
+            below = f"{amount} {statistics.plus_minus(behind.standard_error)} {side} the best"
+            limits = "" if candidates[seed].within else ", limits not met"
             lines.append(
                 f"  seed {seed}: {solution.value:.6g} "
                 f"{statistics.plus_minus(solution.standard_error)}, "
-                f"{'the best' if seed == self.best else below}; {solution.status}, "
+                f"{'the best' if seed == self.best else below}{limits}; {solution.status}, "
                 f"{solution.convergence}, "
                 f"{solution.seconds['total']:.1f} s"
             )

@@ -26,12 +26,15 @@ from snapo.problem.problem import Problem
 from snapo.problem.scenarios import Scenarios, Sources
 from snapo.problem.simulator import Simulator
 
+from .adjoint import float64
+from .evaluate import path_totals
 from .learning.bar import ProgressLine, shown
 from .learning.features import scale_of, to_be_drawn, undrawn
 from .learning.log import recorded
 from .learning.progress import INTERRUPTED, Interrupted
 from .learning.settings import TrainingPlan, resolve_auto
-from .learning.starts import others, race
+from .learning.starts import by_value, others, race
+from .limits import Candidate
 from .measure.measure import MeasuredRun, measure
 from .measure.selection import Evaluation as Evaluation
 from .provenance import Clock, versions
@@ -127,7 +130,7 @@ def solve(
             timer.stage("train")
         start = policy if progress.scale is None else progress.scale.plain(policy)
         measured_on = evaluation.within(problem.simulator.horizon)
-        run = MeasuredRun(problem, start, progress, plan, measured_on, engines)
+        run = MeasuredRun(problem, start, progress, plan, measured_on, engines, drawn)
         with shown(bar) as line:
             line.tell("measuring the policy" if progress.status != INTERRUPTED else MEASURING)
             measured = measure(run)
@@ -206,7 +209,15 @@ def _begun(
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until, bar=bar)
 
-    left, rounds = race(started, training.steps, run)
+    def candidate(progress: Progress) -> Candidate:
+        if not problem.constraints:
+            return by_value(progress)
+        source, paths = problem.sources.validation, training.validation_paths
+        options: dict[str, Any] = {"engine": engine, "source": source, "controls": False}
+        totals = float64(path_totals(problem, progress.best, paths, **options))
+        return Candidate.on(problem, totals, source, progress.dual)
+
+    left, rounds = race(started, training.steps, run, candidate)
     return replace(left, raced=rounds)
 
 

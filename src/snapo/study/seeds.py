@@ -19,6 +19,7 @@ from snapo.report.record import RunRecord, entries_of
 from snapo.solver import statistics
 from snapo.solver.checkpoint import CheckpointError
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
+from snapo.solver.limits import Candidate, LimitFound, best_first
 from snapo.solver.solution import Solution
 from snapo.solver.tables import write_csv
 
@@ -71,7 +72,8 @@ class SeedRow(NamedTuple):
 class SeedComparison(NamedTuple):
     """The comparison of all seeds.
 
-    - `best`: the seed with the highest value, among those within their limits if there are any.
+    - `best`: the seed with the highest value, among those within their limits if there are any (see
+      `solver.limits.best_first`).
     - `mean`, `worst`, `highest`, `deviation`: statistics of the values; `standard_error`: the Monte
       Carlo error of their mean, which all values share.
     - `fresh`: whether the paths are used for nothing else; `paths`: the number of paths.
@@ -99,10 +101,11 @@ def compared(trained: Sequence[Trained]) -> SeedComparison:
     results = [_shares(problem, setup, item) for item in trained]
     means = [np.mean(entry) if entry is not None else np.nan for entry in results]
     values = np.array(means, np.float64)
-    within = [_within(value.result) for value in trained]
-    best = _best(values, within)
+    candidates = [_candidate(value, each.result) for value, each in zip(values, trained)]
+    best = best_first(candidates)[0]
     rows = tuple(
-        _row(each, shares, results[best], ok) for each, shares, ok in zip(trained, results, within)
+        _row(each, shares, results[best], candidate.within)
+        for each, shares, candidate in zip(trained, results, candidates)
     )
     available = [result for result in results if result is not None and np.isfinite(result).all()]
     selected = values[np.isfinite(values)]
@@ -154,15 +157,9 @@ def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
     return shares if np.isfinite(value) else np.full_like(shares, np.nan)
 
 
-def _within(result: RunResult) -> bool:
-    return all(item["met"] != "not met" for item in result.limits)
-
-
-def _best(values: np.ndarray, within: Sequence[bool]) -> int:
-    """The position of the best seed; policies that meet all limits come before all others."""
-    allowed = np.array(within) if any(within) else np.full(len(values), True)
-    ranked = np.where(allowed & np.isfinite(values), values, -np.inf)
-    return int(np.argmax(ranked))
+def _candidate(value: float, result: RunResult) -> Candidate:
+    limits = [{k: np.nan if x is None else x for k, x in item.items()} for item in result.limits]
+    return Candidate.of(float(value), (LimitFound(**item) for item in limits))
 
 
 def _row(

@@ -152,6 +152,22 @@ def test_an_exact_rule_is_not_given_away(problem):
 
 
 @pytest.mark.prove
+def test_a_trained_network_is_not_a_network_drawn_at_random(problem):
+    """It begins as it ended, whether it is trained further or only valued."""
+    first = solved(problem, None, 0)
+    assert first.selected != START
+    none = snapo.Training(steps=0, paths=64, validation_paths=256)
+    few = snapo.Evaluation(paths=4096, sensitivity_paths=0)
+    for policy in (first, first.policy):
+        again = snapo.solve(problem, policy=policy, training=none, evaluation=few)
+        assert again.convergence == "start kept"
+        assert not any("drawn at random" in note for note in again.notes)
+    drawn = snapo.solve(problem, training=none, evaluation=few)
+    assert drawn.convergence == "barely moved"
+    assert any("drawn at random" in note for note in drawn.notes)
+
+
+@pytest.mark.prove
 def test_exact_rules_are_kept_with_ten_seeds(problem):
     start = rule(V / (V + W))
     assert sum(worse_than(problem, solved(problem, start, s).policy, start) for s in range(10)) <= 1

@@ -17,6 +17,7 @@ from .continuous import Uniform as Uniform
 from .counter import Counter as Counter
 from .counter import Draws as Draws
 from .counter import Stored as Stored
+from .counter import noise_of_steps as noise_of_steps
 from .counts import Binomial as Binomial
 from .counts import Counts as Counts
 from .counts import NegativeBinomial as NegativeBinomial

@@ -4,6 +4,8 @@ Words are bit-identical in every engine and precision; normals are made from the
 of the distribution function.
 """
 
+from functools import partial
+
 import equinox as eqx
 import jax
 import jax.numpy as jnp
@@ -93,6 +95,18 @@ def only(draws: Draws, selected: np.ndarray) -> Draws:
         return leaf if axis is None else np.take(leaf, selected, axis)
 
     return jax.tree.map(taken, draws, draws.axes(), is_leaf=lambda leaf: leaf is None)
+
+
+@partial(jax.jit, static_argnums=(1, 2))
+def noise_of_steps(draws: Draws, horizon: int, size: int) -> Float[Array, "steps paths k"]:
+    """The normals of all steps of a simulator, as engines draw them; call it inside
+    `jax.enable_x64(True)`."""
+
+    def one(draws):
+        steps = draws.steps(jnp.zeros((), jnp.uint32), horizon)
+        return jax.vmap(lambda step: draws.noise(step, size, jnp.float64))(steps)
+
+    return jax.vmap(one, (draws.axes(),), 1)(draws)
 
 
 def threefry(key: UInt32[Array, "2"], x: UInt32[Array, "..."], y: UInt32[Array, "..."]):

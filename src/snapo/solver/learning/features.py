@@ -30,6 +30,7 @@ from jaxtyping import PyTree
 
 from snapo.engine import BoundEngine, Xla
 from snapo.problem.actions import Stop, contains
+from snapo.problem.functional import called
 from snapo.problem.policies.memory import GRU, LastObservations
 from snapo.problem.policy import MLP, Network, Policy, Residual
 from snapo.problem.problem import Problem
@@ -149,7 +150,7 @@ def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
 
 def fixed(problem: Problem) -> FeatureScale | None:
     """The scale over time and paths of features that no decision affects; None if there is none."""
-    moved = _moved(problem)
+    moved = moved_by_decisions(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
         return None
     simulator, schedule, horizon = problem.simulator, problem.schedule, problem.simulator.horizon
@@ -205,7 +206,7 @@ def _set(states: PyTree, moved: PyTree, number: float) -> PyTree:
     return jax.tree.map(lambda leaf, flag: one(np.asarray(leaf), flag), states, moved)
 
 
-def _moved(problem: Problem) -> PyTree:
+def moved_by_decisions(problem: Problem) -> PyTree:
     """For each leaf of the state whether a decision moves it, now or later."""
     simulator, schedule = problem.simulator, problem.schedule
     constants = schedule.constants
@@ -231,9 +232,16 @@ def _moved(problem: Problem) -> PyTree:
 
 
 def _follows(program, marks: list[bool]) -> list[bool]:
-    """Which results of a program follow from a marked argument."""
+    """Which results of a program follow from a marked argument; all those of a loop or a condition
+    if any does."""
     available = {var for var, mark in zip(program.invars, marks) if mark}
+
+    def marked(variables) -> list[bool]:
+        return [not hasattr(var, "val") and var in available for var in variables]
+
     for eqn in program.eqns:
-        if any(not hasattr(var, "val") and var in available for var in eqn.invars):
-            available.update(eqn.outvars)
-    return [not hasattr(var, "val") and var in available for var in program.outvars]
+        local = marked(eqn.invars)
+        inner = called(eqn)
+        results = [any(local)] * len(eqn.outvars) if inner is None else _follows(inner.jaxpr, local)
+        available.update(var for var, mark in zip(eqn.outvars, results) if mark)
+    return marked(program.outvars)

@@ -2,7 +2,8 @@
 
 Successive halving (Jamieson and Talwalkar 2016): starts differ in the initial weights of their
 networks only and see the same scenarios, so they are distinguished by the exact value on the
-validation paths, common to all. The last one continues like a run with one start.
+validation paths, common to all; with limits as in `limits.best_first`. The last one continues like
+a run with one start.
 
 They run one after another: the paths of one start occupy all cores, so that several at once would
 take as long and need more memory; and all of them share the kernels of the first one.
@@ -29,6 +30,7 @@ from snapo.problem.policy import MLP, Network, Policy, without_memory
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, Simulator
 
+from ..limits import Candidate, best_first
 from ..train import Training, initial_progress, train
 from .progress import Interrupted, Progress, Round
 
@@ -139,14 +141,22 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
     return [policy, *(_redrawn(policy, item) for item in rng[1:])]
 
 
+def by_value(progress: Progress) -> Candidate:
+    """The candidate of a start in a problem without limits."""
+    return Candidate(float(progress.best_value))
+
+
 def race(
-    started: list[Progress], steps: int, run: Callable[[Progress, int], Progress]
+    started: list[Progress],
+    steps: int,
+    run: Callable[[Progress, int], Progress],
+    candidate: Callable[[Progress], Candidate] = by_value,
 ) -> tuple[Progress, tuple[Round, ...]]:
     """The start that remains, and the rounds in which the others were dropped.
 
     - `started`: the starts before their first step.
     - `steps`: the steps of a whole run; `run(progress, until)` trains up to step `until` and
-      validates.
+      validates; `candidate(progress)`: what starts are compared by.
     """
     every = max(1, round(ROUND * steps))
     left, rounds = dict(enumerate(started)), []
@@ -157,10 +167,11 @@ def race(
                 left[number] = run(item, until)
             except Interrupted as stop:
                 done = [*left.values(), stop.result]
-                best = max(done, key=lambda entry: entry.best_value)
+                best = done[best_first(list(map(candidate, done)))[0]]
                 raise Interrupted(best, stop.notes) from None
         values = {number: float(entry.best_value) for number, entry in left.items()}
-        ranked = sorted(left, key=lambda number: -np.nan_to_num(values[number], nan=-np.inf))
+        order = best_first(list(map(candidate, left.values())))
+        ranked = [list(left)[position] for position in order]
         rounds.append(Round(until, tuple((number, values[number]) for number in ranked)))
         left = {number: left[number] for number in ranked[: (len(left) + 1) // 2]}
     return next(iter(left.values())), tuple(rounds)

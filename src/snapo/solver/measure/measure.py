@@ -59,7 +59,10 @@ WHERE = {"train": "training", "evaluate": "the value", "sensitivities": "the sen
 
 
 class MeasuredRun(NamedTuple):
-    """A training that is to be measured: the problem, the rule it began with, and its settings."""
+    """A training that is to be measured: the problem, the rule it began with, and its settings.
+
+    `drawn`: whether the networks of this rule were drawn at random for this training.
+    """
 
     problem: Problem
     start: Policy
@@ -67,6 +70,7 @@ class MeasuredRun(NamedTuple):
     training: TrainingPlan
     evaluation: Evaluation
     engines: Engines
+    drawn: bool = False
 
     @property
     def held_paths(self) -> int:
@@ -111,7 +115,7 @@ def measure(run: MeasuredRun) -> dict[str, Any]:
     gap, gap_error = _smoothing_gap(problem, policy, exact, soft, run.smooth, engine)
     gradient = table and table.policy_gradient
     values = problem, run.start, progress, training, exact, run.held_paths, decisions
-    ended = ending(*values, engine, gradient)
+    ended = ending(*values, engine, gradient, run.drawn)
     norm, noise = gradient or (float("nan"), float("nan"))
     dropped = {
         "train": sum(record.bad_paths for record in progress.history),

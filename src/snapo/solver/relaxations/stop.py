@@ -9,18 +9,20 @@ draw at random, over many steps).
 """
 
 from collections.abc import Callable
+from hashlib import sha256
 from typing import Protocol, runtime_checkable
 
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jax.scipy.special import ndtri
+from jax.scipy.special import ndtr, ndtri
+from jaxtyping import Array
 
 from snapo.engine import Rollout
 from snapo.engine.base import cast
 from snapo.problem.actions import Stop
 from snapo.problem.code.version import followed
-from snapo.problem.noise import Draws, Stored
+from snapo.problem.noise import Counter, Draws, noise_of_steps
 from snapo.problem.problem import Problem
 from snapo.problem.scenarios import EVALUATE, Pseudo, stream
 from snapo.problem.simulator import at
@@ -29,7 +31,7 @@ from .value import NotStopping, better, decisions, fit, states_of, value
 
 FIT, INNER = 16384, 64  # paths of the regression, and nested draws of every step
 FITTING = 258  # stream of the paths of the regression
-SHIFTS = 259  # seed of the shifts of nested draws
+SHIFTS = 259  # separates the keys of the shifts of nested draws from those of the noise
 TOGETHER = 32  # paths whose nested draws are in memory at once
 NOT_DRAWN = "its scenarios are supplied, so that no nested paths can be drawn from a state"
 
@@ -85,10 +87,11 @@ class StopRelaxation:
             if available is rollout:
                 return earnings, innovations
         states, results = rollout.record["state"], []
-        for t in range(self.horizon):
-            shifts = np.random.default_rng([SHIFTS, t]).random((draws.size, self.points.shape[1]))
-            with jax.enable_x64(True):
-                values = np.int32(t), at(states, t), _noise(draws, t, self.size), shifts
+        with jax.enable_x64(True):
+            noise = noise_of_steps(draws, self.horizon, self.size)
+            shifts = _shifts(draws, self.horizon, self.points.shape[1])
+            for t in range(self.horizon):
+                values = np.int32(t), at(states, t), noise[t], shifts[t]
                 results.append([np.asarray(x) for x in self._surprises(*values)])
         earnings, innovations = map(np.stack, zip(*results))
         self._kept.append((rollout, earnings, innovations))
@@ -136,12 +139,17 @@ class StopRelaxation:
         return followed(both[0], version), followed(both[1], version)
 
 
-def _noise(draws: Draws, t: int, size: int) -> np.ndarray:
-    """[N, size] the noise of step t."""
-    if isinstance(draws, Stored):
-        return np.asarray(draws.step_noise)[t]
-    many = jax.vmap(lambda item: item.noise(jnp.uint32(t), size, jnp.float64), (draws.axes(),))
-    return np.asarray(many(draws))
+def _shifts(draws: Draws, horizon: int, size: int) -> Array:
+    """[T, N, size] a shift of the nested draws for every path and step. Paths of other numbers,
+    seeds and uses have other shifts."""
+    if isinstance(draws, Counter):
+        keys, paths = draws.keys ^ np.uint32(SHIFTS), draws.paths
+    else:  # without numbers: the noise of a block identifies its paths
+        digest = sha256(np.ascontiguousarray(draws.step_noise)).digest()
+        keys = np.frombuffer(digest, np.uint32)[:4].reshape(2, 2)
+        paths = np.arange(draws.size, dtype=np.uint32)
+    counter = Counter(keys, paths, np.uint32(0), antithetic=False)  # pyright: ignore
+    return ndtr(noise_of_steps(counter, horizon, size))
 
 
 class Relaxation(Protocol):

@@ -27,7 +27,9 @@ from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-PATHS = 16  # on which decisions are tried, to see which states they move
+from ..learning.features import moved_by_decisions
+
+PATHS = 16  # on which the rights are compared with those at the start, if none is used
 
 
 class NotStopping(ValueError):
@@ -120,32 +122,20 @@ def _right(problem: Problem, action: Stop) -> int:
     """The leaf of the state that holds the rights, the only one that decisions move."""
     source, simulator = problem.sources.evaluation, problem.simulator
     paths = np.arange(min(PATHS, source.available(PATHS)))
-    draws, engine = source.draws(paths, simulator), Xla(precision="float64")
-    shape = (simulator.horizon, len(paths), action.size)
-    never, ever = (
-        _states(engine.bind(problem).values(
-            None, draws, Exact(), actions=np.full(shape, use), record=("state",)
-        ))
-        for use in (0.0, 1.0)
-    )  # fmt: skip
-    moved = [i for i, (a, b) in enumerate(zip(never.values(), ever.values())) if np.any(a != b)]
-    start = np.asarray(action.initial())
+    draws, engine = source.draws(paths, simulator), Xla(precision="float64").bind(problem)
+    waits = np.zeros((simulator.horizon, len(paths), action.size))
+    rollout = engine.values(None, draws, Exact(), actions=waits, record=("state",))
+    states, start = jax.tree.leaves(states_of(rollout)), np.asarray(action.initial())
+    flags = jax.tree_util.tree_leaves_with_path(moved_by_decisions(problem))
+    moved = [i for i, (_, flag) in enumerate(flags) if flag]
     for i in moved:
-        name, result = list(never.items())[i]
-        if result.shape[2:] != (action.rights,) or np.any(result != start):
-            raise NotStopping(f"its decisions change the state {name or 'itself'}, not only rights")
+        if states[i].shape[2:] != (action.rights,) or np.any(states[i] != start):
+            name = jax.tree_util.keystr(flags[i][0]) or "itself"
+            raise NotStopping(f"its decisions may change the state {name}, not only rights")
     if len(moved) != 1:
         message = "more than one part of the state" if moved else "no state that `Stop.use` moves"
         raise NotStopping(f"it keeps the rights in {message}")
     return moved[0]
-
-
-def _states(rollout) -> dict[str, np.ndarray]:
-    """{name: [T + 1, N, …]} of every leaf of the states."""
-    return {
-        jax.tree_util.keystr(path): leaf
-        for path, leaf in jax.tree_util.tree_leaves_with_path(states_of(rollout))
-    }
 
 
 def states_of(rollout) -> PyTree:

@@ -13,7 +13,6 @@ import numpy as np
 from snapo.engine import Engine
 from snapo.problem.noise import Draws
 from snapo.problem.objective import Totals
-from snapo.problem.policies.composed import Plain
 from snapo.problem.policies.memory import GRU, LastObservations
 from snapo.problem.policy import MLP, Policy, parameters
 from snapo.problem.problem import Problem
@@ -42,7 +41,7 @@ CONVERGED, IMPROVING, SHORT = "converged", "still improving", "too short to tell
 SATURATED, CONSTANT = "saturated", "constant"
 UNMOVED, AS_BEGUN = "barely moved", "as good as its start"
 UNDECIDED = (IMPROVING, SHORT, UNMOVED, AS_BEGUN)  # verdicts that a bound may make CONVERGED
-DRAWN = (MLP, GRU, LastObservations, Plain)  # policies that begin as networks drawn at random
+NETWORKS = (MLP, GRU, LastObservations)  # policies that do not begin as a rule if they are drawn
 SIGNIFICANT = 2.0  # standard errors of a gain
 OFFSET = 10  # times the total gain: a larger value has a part that no decision affects
 ENOUGH = 2048  # paths on which two rules are compared
@@ -95,6 +94,7 @@ def ending(
     decisions: np.ndarray | None,
     engine: Engine,
     gradient: tuple[float, float] | None = None,
+    drawn: bool = False,
 ) -> Ending:
     """How training ended, by the exact simulator on paths of the evaluation; a training that was
     aborted has notes but no keyword.
@@ -108,6 +108,7 @@ def ending(
     - `decisions` [T, held_paths, A]: the decisions of that policy on these paths, if they were
       recorded before.
     - `gradient`: the norm of the policy's gradient and the norm of its noise, if known.
+    - `drawn`: whether the networks of `untrained` were drawn at random for this training.
     """
     if not np.isfinite(value_of(problem.objective, exact)):
         return Ending("")
@@ -132,10 +133,10 @@ def ending(
     if does_nothing:
         word = CONSTANT
     elif not over_start.is_significant:
-        drawn = isinstance(untrained, DRAWN)
-        if drawn:
+        at_random = drawn and isinstance(untrained, NETWORKS)
+        if at_random:
             notes.append(UNMOVED_ADVICE)
-        word = UNMOVED if drawn else AS_BEGUN
+        word = UNMOVED if at_random else AS_BEGUN
     elif all_still and at_limit(still):
         word = SATURATED
     else:

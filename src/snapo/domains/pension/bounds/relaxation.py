@@ -23,7 +23,7 @@ from jaxtyping import Array, Float
 from scipy.optimize import minimize_scalar
 
 from snapo.engine import Rollout, Xla
-from snapo.problem.noise import Draws
+from snapo.problem.noise import Draws, noise_of_steps
 from snapo.problem.objective import ExpectedUtility, Mean, Objective
 from snapo.problem.policy import Policy
 from snapo.problem.problem import Problem
@@ -217,7 +217,8 @@ class FundRelaxation:
         across = jax.vmap(gaussian_returns, (None, None, None, 0), ACROSS)
         terms, steps = self.schedule.constants, self.schedule.steps
         returns = jax.vmap(across, (None, None, 0, 0))(self.simulator.model, terms, steps, before)
-        return FundPaths(returns, self._noise(draws))
+        size = noise_size(self.simulator.model)
+        return FundPaths(returns, noise_of_steps(draws, self.simulator.horizon, size))
 
     def _extremes(self, rollout: Rollout) -> Extremes:
         """[N, …] the minimum and the maximum over all decisions on these paths."""
@@ -227,12 +228,6 @@ class FundRelaxation:
         )
         item = jax.vmap(extremes, (None, None, None, 1, 1))
         return item(self.simulator, self.schedule.constants, self.schedule.steps, before, after)
-
-    def _noise(self, draws: Draws) -> Array:
-        steps = draws.steps(jnp.zeros((), jnp.uint32), self.simulator.horizon)
-        size = noise_size(self.simulator.model)
-        one = jax.vmap(lambda d, s: d.noise(s, size, jnp.float64), (draws.axes(), None))
-        return jax.vmap(one, (None, 0))(draws, steps)
 
     def _deflated(self, price: Any, paths: FundPaths) -> Deflated:
         case = self.simulator.model
