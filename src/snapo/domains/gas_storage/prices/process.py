@@ -236,6 +236,11 @@ class PriceProcess(Process):
         return cls(delivery.times, **numbers)  # pyright: ignore
 
     @property
+    def lowest(self) -> float:
+        """The number that all spot and forward prices are above."""
+        return 0.0 if self.proportional else -np.inf
+
+    @property
     def calendar(self) -> tuple[float, ...]:
         """[T + 1] the time from each nomination to its date, if flows are nominated; otherwise
         ()."""
