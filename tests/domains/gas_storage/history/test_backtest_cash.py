@@ -97,3 +97,17 @@ def test_fixed_costs_move_no_mark(costly):
         ]  # fmt: skip
         assert values == pytest.approx([cash - fixed] * len(values), abs=1e-6)
         assert found.mark_deviation == pytest.approx(0.0, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("late", "hedge"),
+    [(True, False), (True, True), (False, True)],
+)
+def test_curves_that_begin_late_are_refused(late, hedge):
+    """In every mode; without any curve, hedges are."""
+    model = {"kind": "one-factor-normal", "mean_reversion": 20.0, "volatility": 0.0}
+    data, days = forced(model), [FIRST + datetime.timedelta(n) for n in range(3)]
+    quotes = {days[1]: [ForwardQuote(days[1], days[2], 20.0)]} if late else {}
+    message = r"curves\.csv, date:.* must begin on the valuation date, 2025-01-01, or earlier"
+    with pytest.raises(CaseError, match=message):
+        result(data, curves=quotes, hedge=hedge)

@@ -152,9 +152,13 @@ def run_backtest(
     plan = case.backtest
     plan = plan if calibrate is None else plan._replace(calibrate=calibrate)
     due = plan.due(days)
-    if not curved and (due or hedge):
-        message = f"estimates of the model, and hedges, need a curve of {valuation} or earlier"
-        raise CaseError(str(observed.folder / CURVES), "date", None, message)
+    if not curved and (observed.curve_days or due or hedge):
+        message = (
+            "curves, which estimates of the model and hedges need, must begin on the valuation "
+            f"date, {valuation}, or earlier"
+        )
+        begin = min(observed.curve_days, default=None)
+        raise CaseError(str(observed.folder / CURVES), "date", begin, message)
     models = ModelHistory(file, data, observed, plan) if due else None
     curves = StepCurves(observed, valuation, days, case.end, case.has_end_price, spots)
     book = _book(ledger, curves) if hedge else None
