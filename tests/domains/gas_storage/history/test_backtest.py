@@ -229,7 +229,7 @@ def test_a_wrong_price_is_named(tmp_path, spot, curves, named):
     if curves:
         (tmp_path / "curves.csv").write_text("date,product,price\n" + curves)
     with pytest.raises(CaseError) as caught:
-        read_observed(tmp_path, True, [])
+        read_observed(tmp_path, 0.0, [])
     for name in named:
         assert name in str(caught.value), caught.value
 
@@ -269,7 +269,7 @@ def test_the_example_can_be_read():
     calibration = read_calibration(folder / "calibration.toml")
     case = DOMAIN.read(*load(folder))
     assert calibration.days[-1] < case.days[0] and calibration.prices == 750
-    seen = read_observed(folder, True, [])
+    seen = read_observed(folder, 0.0, [])
     for day in (case.days[0], case.days[200], case.days[-1]):
         assert seen.spot(day) > 0 and (seen.curve(day, case.days[-30:]) > 0).all()
     np.testing.assert_allclose(

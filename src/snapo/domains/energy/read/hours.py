@@ -15,10 +15,9 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.case.quantity import KeyContext, Quantity
 from snapo.case.table import CaseTable, Nonempty, TableContext, doc
-from snapo.problem.process import Gaps
 
 from ...gas_storage.contract.records import GasMarket
-from ...gas_storage.prices.process import FEWEST, Times
+from ...gas_storage.prices.process import Times
 from ...gas_storage.read.tables import FORWARD, ZERO_RATE, Currency, ValuationDay
 
 HOURS = 8760.0  # of a year of 365 days
@@ -103,11 +102,8 @@ class Hours:
     @property
     def times(self) -> Times:
         """The times of the prices, in years."""
-        years, before = np.array(self.ahead) / HOURS, self.ahead[0]
-        rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
-        age = (before - 1 - np.arange(max(rows, 1))) / HOURS
         notice = None if self.notice is None else np.array(self.notice) / HOURS
-        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, notice)
+        return Times.of(self.ahead, HOURS, self.curve, notice)
 
 
 def hours_of(where: TableContext, table: Any, valuation: datetime.date) -> Hours:

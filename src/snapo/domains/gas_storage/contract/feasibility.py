@@ -197,9 +197,10 @@ def _start(case: StorageCase) -> list[FlowInterval]:
     inventory = float(case.contract.inventory.used())
     low = float(case.contract.min_inventory.used()[0])
     high = float(case.contract.max_inventory.used()[0])
-    if not low <= inventory <= high:
-        message = f"on {_date(case, 0)} the limits allow {low:g} to {high:g}"
+    if not low - slack(case) <= inventory <= high + slack(case):
+        message = f"on {_date(case, 0)} the limits allow {low:.10g} to {high:.10g}"
         raise _error(case, "inventory", inventory, message)
+    inventory = min(max(inventory, low), high)
     return [(inventory, inventory)]
 
 

@@ -209,7 +209,7 @@ class StorageSimulator(PricedSimulator):
             + withdrawal * now.withdrawal_cost * now.withdrawal_cost_discount
             + state.inventory * now.inventory_cost * now.flow_discount
         )
-        sold = withdrawal * (1 - now.withdrawal_fuel) - injection * (1 + now.injection_fuel)
+        sold = volume_sold(now, injection, withdrawal)
         after = StoreState(
             flows.keep + injection - withdrawal,
             self.process.step(constants.price, now.price, state.price, noise),
@@ -299,6 +299,12 @@ def simulator_of(problem: Problem) -> StorageSimulator:
     if not isinstance(simulator, StorageSimulator):
         raise TypeError(f"{type(simulator).__name__} is not a gas store.")
     return simulator
+
+
+def volume_sold(now: Day, injection, withdrawal):
+    """The volume that is sold at the spot price of the day, less the volume that is bought, with
+    fuel."""
+    return withdrawal * (1 - now.withdrawal_fuel) - injection * (1 + now.injection_fuel)
 
 
 def rate(levels, rates, inventory, interpolation: str, smooth):

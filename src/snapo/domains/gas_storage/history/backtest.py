@@ -79,7 +79,7 @@ def backtest(
     if first.case.model.calendar:
         message = "a back-test decides each flow on the day of the flow; leave out this key"
         raise CaseError(str(file), "contract.nomination", None, message)
-    observed = read_observed(history, first.case.model.proportional, notes)
+    observed = read_observed(history, first.case.model.lowest, notes)
     if policy is not None:
         first = replace(first, policy=trained_policy(policy, first.policy))
     for note in notes:
@@ -152,14 +152,19 @@ def run_backtest(
     plan = case.backtest
     plan = plan if calibrate is None else plan._replace(calibrate=calibrate)
     due = plan.due(days)
-    if not curved and (due or hedge):
-        message = f"estimates of the model, and hedges, need a curve of {valuation} or earlier"
-        raise CaseError(str(observed.folder / CURVES), "date", None, message)
+    if not curved and (observed.curve_days or due or hedge):
+        message = (
+            "curves, which estimates of the model and hedges need, must begin on the valuation "
+            f"date, {valuation}, or earlier"
+        )
+        begin = min(observed.curve_days, default=None)
+        raise CaseError(str(observed.folder / CURVES), "date", begin, message)
     models = ModelHistory(file, data, observed, plan) if due else None
     curves = StepCurves(observed, valuation, days, case.end, case.has_end_price, spots)
     book = _book(ledger, curves) if hedge else None
     level, rows, marks = np.full(1, float(schedule.constants.inventory)), [], []
     discount, cash = np.asarray(schedule.steps.flow_discount), 0.0
+    fixed = float(schedule.constants.fixed_costs)
     every = (len(days) if due else EVERY) if every is None else every
     starts = _starts(len(days), every if curved else len(days), due)
     engine, first = choose("auto", ledger.problem, ledger.policy).evaluate, None
@@ -177,7 +182,7 @@ def run_backtest(
         drawn = _drawn(rule, curved, engine)
         first = first or drawn
         amounts = float(level[0]), cash, float(discount[start]) if start else 1.0
-        marks.append(_mark(rule, date, drawn, *amounts))
+        marks.append(_mark(rule, date, drawn, fixed, *amounts))
         state = rule.initial_factors(1)
         if book is not None:
             if drawn.paths is None:
@@ -196,7 +201,7 @@ def run_backtest(
     assert first is not None
     inventory, injection, withdrawal, money = np.array(rows).T
     left = float(end_money(ledger.problem, level, spots[-1:])[0])
-    realised = cash + left - float(schedule.constants.fixed_costs)
+    realised = cash + left - fixed
     sums = [(mark.date, mark.cash + mark.expected) for mark in marks]
     return StoreBacktest(
         days,
@@ -279,17 +284,19 @@ def _mark(
     rule: DatedRule,
     day: datetime.date,
     drawn: DrawnHistories,
+    fixed: float,
     inventory: float,
     cash: float,
     discount: float,
 ) -> MarkedPosition:
-    """A solution marked to its curve; the rest of the contract is valued on drawn paths."""
-    fixed = float(rule.problem.schedule.constants.fixed_costs)
+    """A solution marked to its curve; the rest of the contract is valued on drawn paths. `fixed`:
+    the fixed costs of the whole test, which are in every mark, so that their dates move none."""
+    later = float(rule.problem.schedule.constants.fixed_costs)
     kind = rule.case.contract.ratchets.interpolation
     plan = intrinsic(jax.tree.map(np.asarray, rule.problem.schedule), kind).value
     mean, error = drawn.expected[:2]
-    rest = mean + fixed, error, plan
-    return MarkedPosition(day, inventory, cash, *(x * discount for x in rest))
+    expected, best = (x * discount - fixed for x in (mean + later, plan))
+    return MarkedPosition(day, inventory, cash, expected, error * discount, best)
 
 
 def _rolling(ledger: DatedRule, curves: StepCurves) -> float:

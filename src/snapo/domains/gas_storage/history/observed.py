@@ -127,16 +127,19 @@ class StepCurves:
         return self._made[t]
 
 
-def read_observed(folder: Path, positive: bool, notes: list[str]) -> ObservedMarket:
+def read_observed(folder: Path, lowest: float, notes: list[str]) -> ObservedMarket:
     """Reads `spot.csv` (date,price) and, if it is there, `curves.csv` (date,product,price).
 
-    `positive`: whether prices must be above zero.
+    `lowest`: the number that all prices of the model are above.
 
     **Raises:** `CaseError` if a file, a date, a product or a price is wrong.
     """
     if not folder.is_dir():
         raise CaseError("--history", "", str(folder), "it must be a folder with spot.csv")
-    low, allowed = (5e-324, "a number above 0") if positive else (-np.inf, "")
+    low, allowed = -np.inf, ""
+    if lowest > low:
+        low = float(np.nextafter(lowest, np.inf))
+        allowed = f"a number above {lowest:.10g}, as all prices of this model are"
     section = TableContext(folder / "history", "history", notes)
     rows = read_rows(FileReference(section, "spot", SPOT), ("date", "price"))
     days = rising_dates(rows)

@@ -31,7 +31,8 @@ class MarkedPosition:
       discounted to the first valuation date.
     - `expected`, `standard_error`: the expected cash flow of the rest of the contract and its
       error, on paths of the model around the curve of the date; `intrinsic`: the cash flow of the
-      best fixed plan for the rest. All are discounted to the same date.
+      best fixed plan for the rest. All are discounted to the same date. Both cash flows are after
+      the fixed costs of the whole test, those of the past included, as `realised` is.
     """
 
     date: datetime.date

@@ -22,7 +22,7 @@ from snapo.problem.smooth import Exact
 
 from ..contract.records import EndTerms, StorageCase
 from ..contract.schedule import StoreState
-from ..contract.simulator import StorageSimulator, simulator_of
+from ..contract.simulator import StorageSimulator, simulator_of, volume_sold
 from ..ladder.forwards import PathCurves
 from ..policy.network import StoragePolicy
 from ..read.case import read_case
@@ -152,7 +152,8 @@ def decided(
     """The decisions on day `t` of the rule, at inventories and spot prices [N]; this day is the day
     `day` of the `ledger`. `before` [N, F]: the factors of the day before. `curve` [T + 1 - t]: the
     curve of the day, which determines the factors if there are several; it is used for a single
-    path only. The cash flow is from the exact simulator of `ledger`, with its discount factors.
+    path only. The cash flow has the costs and discount factors of the exact simulator of `ledger`,
+    and is paid at this spot price, whatever price the model has.
     """
     gain, prior = None, before
     if rule.filter is not None:
@@ -184,8 +185,9 @@ def _day(policy, simulator, constants, now, booked, terms, row, gain, inventorie
         at = StoreState(inventory, booked.process.state_at(terms.price, row.price, spot))
         noise = jnp.zeros(booked.noise_size)
         after, outputs = booked.step(terms, row, at, action, noise, Exact())
-        names = ("injection", "withdrawal", "cash_flow")
-        return after.inventory, *(outputs[name] for name in names), prior
+        flows = outputs["injection"], outputs["withdrawal"]
+        cash = volume_sold(row, *flows) * (spot * row.gas_discount) - outputs["costs"]
+        return after.inventory, *flows, cash, prior
 
     return jax.vmap(one)(inventories, priors, spots)
 

@@ -81,12 +81,17 @@ class FactorPrices(FactorPrice, PriceProcess):
         # The share of every earlier day's shock that is left on the first date.
         age = self.delivery.age[:, None]
         left = jnp.exp(-numbers.mean_reversion * jnp.maximum(age, 0.0)) * (age >= 0)
-        before = jnp.einsum("nf,fg->fng", left, rows.steps.next_shock[0])
+        before = jnp.einsum("nf,fg->fng", left, self.day_shock(numbers))
         before = before.reshape(self.noise_size, self.initial_noise_size)
         return Schedule(
             StorageConstants(**rows.constants._asdict(), before=before),
             StorageStep(**rows.steps._asdict(), slow_variance=variance),
         )
+
+    def day_shock(self, numbers: Factors) -> Array:
+        """[F, F] the shock of one of the days before the first date."""
+        pair = numbers.mean_reversion[:, None] + numbers.mean_reversion[None, :]
+        return self.delivery.day.shocks(numbers.correlation, pair)[0]
 
     @property
     def calendar(self) -> tuple[float, ...]:

@@ -17,7 +17,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from snapo.case.given import CaseInput
-from snapo.problem.process import integral
+from snapo.problem.process import Factors, integral
 from snapo.problem.record import Schedule, TreeRecord
 from snapo.problem.record.arrays import Array, Bool, Float, Int, jax, jnp
 
@@ -190,7 +190,7 @@ class IndexedPrices(TwoPrices):
             jnp.asarray(months.renewed),
         )
         following = jnp.append(months.renewed[1:], False)
-        constants = IndexedConstants(spot.constants, *self._first(spot, speed))
+        constants = IndexedConstants(spot.constants, *self._first(numbers))
         return Schedule(constants, IndexedStep(spot.steps, rows, following))
 
     def second_price(self) -> KnownPrices:
@@ -200,14 +200,14 @@ class IndexedPrices(TwoPrices):
         rows: Any = forward[months.days], none, none, months.weight, fixed, months.renewed
         return KnownPrices(IndexRows(*rows))
 
-    def _first(self, spot: Schedule, speed: Array) -> tuple[Array, Array]:
+    def _first(self, numbers: Factors) -> tuple[Array, Array]:
         """The fields `before` and `first` of `IndexedConstants`."""
-        months, age = self.months, self.spot.delivery.age
+        months, age, speed = self.months, self.spot.delivery.age, numbers.mean_reversion[0]
         free = 1.0 - months.fixed[0]
         # A day's shock moves g where it came before the last day before the month.
         earlier = age - (self.spot.delivery.years[0] - months.fixing_time[0])
         share = jnp.exp(-speed * jnp.maximum(earlier, 0.0)) * (earlier > -0.5 / YEAR) * free
-        before = share * spot.steps.next_shock[0, 0, 0]
+        before = share * self.spot.day_shock(numbers)[0, 0]
         variance = free * integral(2 * speed, jnp.asarray(months.fixing_time[0]))
         decay = jnp.exp(-speed * (self.spot.delivery.years[0] - months.fixing_time[0]))
         return before[None], jnp.stack([variance, decay])

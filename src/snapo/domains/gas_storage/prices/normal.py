@@ -128,6 +128,10 @@ class Shifted(SignedPrices):
         numbers: dict[str, Any] = read_factors(section, [table], [], [], delivery)
         return cls.of(delivery, **numbers, shift=shift)
 
+    @property
+    def lowest(self) -> float:
+        return -float(self.shift.values[0])
+
     def prepare(self, inputs) -> Schedule:
         made = super().prepare(inputs)
         shift = use(inputs, self.shift)

@@ -93,13 +93,10 @@ class Delivery(NamedTuple):
     @property
     def times(self) -> "Times":
         """The part of the delivery that a process keeps: times and prices."""
-        years, before = np.array([days / YEAR for days in self.ahead]), self.ahead[0]
-        rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
-        age = (before - 1 - np.arange(max(rows, 1))) / YEAR
         notice = None
         if self.nominated is not None:
             notice = np.subtract(self._days_to(self.dates), self.ahead) / YEAR
-        return Times(years, Gaps.of(years.tolist()), self.curve, age, rows, notice)
+        return Times.of(self.ahead, YEAR, self.curve, notice)
 
 
 class Times(TreeRecord):
@@ -113,6 +110,7 @@ class Times(TreeRecord):
       compiled for only a few numbers n. `before`: n, or 0 if the first date is the valuation date.
     - `notice` [T + 1]: if flows are nominated, `years` is the time of the nomination, and `notice`
       the time from the nomination to the date; the price is then the forward price of the date.
+    - `day`: the interval of one of these n days, which are hours in an hourly contract.
     """
 
     years: Float[np.ndarray, " T+1"]
@@ -120,7 +118,18 @@ class Times(TreeRecord):
     curve: CaseInput
     age: Float[np.ndarray, " n"]
     before: int = field(static=True)
-    notice: Float[np.ndarray, " T+1"] | None = None
+    notice: Float[np.ndarray, " T+1"] | None
+    day: Gaps
+
+    @classmethod
+    def of(cls, ahead: Sequence[int], year: float, curve: Any, notice: Any) -> "Times":
+        """The times of dates that come `ahead` [T + 1] days or hours after the valuation date;
+        `year`: the number of these in a year."""
+        years, before = np.array(ahead) / year, ahead[0]
+        rows = before if before < 2 else max(FEWEST, 1 << (before - 1).bit_length())
+        age = (before - 1 - np.arange(max(rows, 1))) / year
+        day = Gaps.of([(before + 1) / year - before / year])  # in floats, as a step of `years`
+        return cls(years, Gaps.of(years.tolist()), curve, age, rows, notice, day)
 
     def forward(self, inputs: dict[str, Any]) -> Float[Array, " T+1"]:
         """The forward price of each date; an end date without a price gets the last price."""
@@ -225,6 +234,11 @@ class PriceProcess(Process):
     def of(cls, delivery: Delivery, **numbers: CaseInput) -> Self:
         """The process with these numbers, {field: numbers}, on the days of a delivery."""
         return cls(delivery.times, **numbers)  # pyright: ignore
+
+    @property
+    def lowest(self) -> float:
+        """The number that all spot and forward prices are above."""
+        return 0.0 if self.proportional else -np.inf
 
     @property
     def calendar(self) -> tuple[float, ...]:
