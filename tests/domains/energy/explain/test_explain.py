@@ -9,13 +9,19 @@ from numpy.testing import assert_allclose
 from scipy.stats import norm
 from tests.domains.energy.energy_cases import HOME, battery, case_at, exact, plant, swing
 from tests.domains.energy.explain.valued import valued
+from tests.domains.energy.test_stores import PRICES
+from tests.domains.energy.test_stores import tables as stores_tables
+from tests.domains.gas_storage.explain.valued import run_at
 
 from snapo.case.error import CaseError
 from snapo.domains.energy.core.policy import UnitValuePolicy, reordered
 from snapo.domains.energy.core.simulator import simulator_of
 from snapo.domains.energy.explain.parts import curves_of, explained_change, planned_steps, state_of
-from snapo.domains.energy.setup import bare_problem, rebuilt
+from snapo.domains.energy.read.case import read_case
+from snapo.domains.energy.setup import bare_problem, make_setup, rebuilt, setup_at
 from snapo.domains.gas_storage.explain import CASH, DECISIONS, FIRST, POLICY, REST, SECOND, TIME
+from snapo.domains.gas_storage.explain.chain import delivery_periods
+from snapo.domains.gas_storage.hedges.gamma import price_rises
 
 FEW = {"evaluation.paths": 8192, "evaluation.scheme": None}
 STRIP = FEW | {
@@ -87,6 +93,64 @@ def test_a_strip_of_calls(tmp_path):
     print(vega, value)
     assert abs(vega.amount - value) < 2 * vega.standard_error
     assert abs(rows[REST, ""].amount) < 0.02 * sum(terms[0] for terms in expected.values())
+
+
+TWO_PRODUCTS = {"day_ahead": {}, "balance_of_month": {}}
+
+
+def stores_to_empty(folder, moved: float, products: dict | None = TWO_PRODUCTS):
+    """Two stores that must give out 1 and 0.5 units on each of four days. On the last three of
+    these days the prices of the template of tests are higher by `moved`."""
+    gas = {"end": datetime.date(2027, 1, 5), "max_injection": 0.0}
+    fast, slow = ({"inventory": 4 * x, "max_withdrawal": x} for x in (1.0, 0.5))
+    few = {"net_withdrawal": 1.5, "fast": gas | fast, "slow": gas | slow}
+    file, data = stores_tables(folder, **few)
+    first, *prices = PRICES[:4]
+    rows = [first, *(price + moved for price in prices)]
+    rows = [f"2027-01-{day:02d},{price}" for day, price in enumerate(rows, 1)]
+    (folder / "curve.csv").write_text("\n".join(["date,price", *rows]))
+    data = data | {"evaluation": {"paths": 64}, "products": products}
+    if products is None:
+        del data["products"]
+    return file, data, read_case(file, data)
+
+
+def test_a_period_of_two_stores_has_two_steps_a_day(tmp_path):
+    _, _, case = stores_to_empty(tmp_path, 0.0)
+    periods = delivery_periods(case.days, case.products)
+    assert [(x.first, x.after) for x in periods] == [(0, 2), (2, 8)]
+    problem = bare_problem(case)
+    curve = simulator_of(problem).curve
+    values = problem.inputs_by_name[curve.name].value
+    one, other = price_rises(periods, case.days, curve, values)
+    assert (one.dates, other.dates) == (("2027-01-01",) * 2, ("2027-01-02", "2027-01-04"))
+    assert one.along.tolist() == [1, 0, 0, 0] and other.along.tolist() == [0, 1, 1, 1]
+    assert other.price == pytest.approx(np.mean(PRICES[1:4]))
+
+
+@pytest.mark.prove
+@pytest.mark.parametrize("products", [TWO_PRODUCTS, None])
+def test_two_stores_with_products(products, tmp_path):
+    """The effect of the curve is in its period: the discounted volume times the move."""
+    runs, setup, policy = [], None, None
+    for name, moved in (("a", 0.0), ("b", 2.0)):
+        file, data, case = stores_to_empty(tmp_path / name, moved, products)
+        setup = make_setup(case, "native") if setup is None else setup_at(setup, case)
+        policy = setup.policy.value_rule if policy is None else policy
+        runs.append(run_at(tmp_path / f"run {name}", file, data, case, setup, policy))
+    change = explained_change(*runs, silent)
+    rows = by_name(change)
+    volume = 1.5 * np.sum(np.exp(-0.03 * np.arange(1, 4) / 365))
+    periods = [row.period for row in change.moves]
+    rounded = 0.5 * 10**-change.digits + 1e-4  # engines count in single precision
+    assert rows[FIRST, periods[-1]].amount == pytest.approx(2.0 * volume, abs=rounded)
+    assert abs(rows[REST, ""].amount) <= 2 * rounded
+    if products is None:
+        assert [(x.days, x.move) for x in change.moves] == [(4, 1.5)]
+        return
+    assert [(x.days, x.move) for x in change.moves] == [(1, 0.0), (3, 2.0)]
+    assert rows[FIRST, "day ahead"].amount == 0.0
+    assert change.moves[1].delta == pytest.approx(volume, abs=1e-4)
 
 
 @pytest.mark.prove

@@ -150,7 +150,6 @@ def test_both_estimates_of_a_pair():
 
 
 def test_a_move_is_of_the_numbers_of_the_days():
-    """With two steps a day, as of two stores, a period has twice as many steps."""
     case = read("G4")
     problem = bare_problem(case)
     curve = curve_of(problem)
@@ -159,7 +158,6 @@ def test_a_move_is_of_the_numbers_of_the_days():
     assert one.along.sum() == 3 and other.along.sum() == 4 and not np.any(one.along * other.along)
     assert other.price == pytest.approx(case.market.forward_curve.used()[3:7].mean())
     assert other.steps == slice(3, 7)
-    assert price_rises(periods[1:], case.days, curve, values(problem), 2)[0].steps == slice(6, 14)
 
 
 def test_a_known_price_does_not_rise():

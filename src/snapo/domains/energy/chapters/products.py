@@ -56,9 +56,9 @@ def check_gamma(case: EnergyCase) -> None:
 def measure_gamma(run: StudyRun) -> ProductGammas:
     """The gammas of a contract."""
     case, problem = case_of(run.setup), run.setup.problem
-    together, curve = KINDS[case.kind].steps, simulator_of(problem).curve
-    days, values = case.days[::together], problem.inputs_by_name[curve.name].value
-    rises = price_rises(delivery_periods(days, case.products), days, curve, values, together)
+    curve = simulator_of(problem).curve
+    values = problem.inputs_by_name[curve.name].value
+    rises = price_rises(delivery_periods(case.days, case.products), case.days, curve, values)
     return gamma_by_product(run, case, rises, curve.name, price_schedule(problem))
 
 

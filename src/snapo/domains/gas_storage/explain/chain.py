@@ -219,7 +219,8 @@ class ChangeChain(abc.ABC):
             move = float(np.mean((curve.new - curve.old)[period.first : last]))
             delta = of.first / move if move else None
             name = f"{curve.market} {period.name}".strip()
-            moves.append(CurveMove(name, period.after - period.first, move, delta))
+            days = {f"{day:%Y-%m-%d}" for day in case.days[period.first : period.after]}
+            moves.append(CurveMove(name, len(days), move, delta))
         errors = effect.total.first_error, effect.total.second_error
         for k, (name, error) in enumerate(zip((FIRST, SECOND), errors)):
             rows = [
@@ -311,11 +312,13 @@ def equal(one: Any, other: Any) -> bool:
 def delivery_periods(
     days: Sequence[Any], products: TradedProducts | None
 ) -> Sequence[DeliveryPeriod]:
-    """The traded products, or the months, of the decision days."""
+    """The traded products, or the months, of the decision days. `days` [T]: the dates of the steps;
+    each day of delivery of the products has the same number of steps."""
     if products is not None:
+        steps = len(days) // len(products.days)
         rows = products.named(-1 if products.before else 0)
         return [
-            DeliveryPeriod(name or "no product yet", block.first, block.after)
+            DeliveryPeriod(name or "no product yet", block.first * steps, block.after * steps)
             for name, block in rows
         ]
     months = [day.strftime("%Y-%m") for day in days]

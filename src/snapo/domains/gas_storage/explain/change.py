@@ -28,6 +28,7 @@ class ChangePart:
 class CurveMove:
     """The mean move of the forward prices of a delivery period, in currency per unit.
 
+    - `days`: the number of its days within the contract.
     - `delta`: the discounted delta, in the unit of gas; None if the mean price did not move.
     """
 

@@ -29,7 +29,8 @@ CHUNK = 2048  # paths in one call of an engine: every output of every day is rec
 
 
 class DeliveryPeriod(NamedTuple):
-    """A delivery period: the days from `first` up to, but not including, `after`."""
+    """A delivery period: the steps from `first` up to, but not including, `after`. A day of
+    delivery may have several steps."""
 
     name: str
     first: int
@@ -82,8 +83,8 @@ def curve_effect(
     between = [engine.bind(problem) for problem in chain[1:-1]]
     simulator, source = problems[0].simulator, problems[0].sources.evaluation
     paths = source.available(before.evaluation.paths)
-    days = np.zeros((len(periods), simulator.horizon))
-    for row, period in zip(days, periods, strict=True):
+    steps = np.zeros((len(periods), simulator.horizon))
+    for row, period in zip(steps, periods, strict=True):
         row[period.first : period.after] = 1.0
     effect = np.zeros((2, len(curves), len(periods), paths))
     totals: list[dict[str, np.ndarray]] = [{}, {}]
@@ -95,7 +96,7 @@ def curve_effect(
             held: dict[str, Any] = {"actions": local.record["action"], "record": ("outputs",)}
             others = [x.values(None, draws, Exact(), **held) for x in (*between, engines[1 - k])]
             ordered = [local, *others] if k == 0 else [others[-1], *others[:-1], local]
-            cash = [_by_period(rollout, days) for rollout in ordered]
+            cash = [_by_period(rollout, steps) for rollout in ordered]
             for m in range(len(curves)):
                 effect[k][m][:, block] = cash[m + 1] - cash[m]
             for name, total in float64(local.totals).items():
@@ -132,10 +133,10 @@ def _orders(old: np.ndarray, new: np.ndarray) -> PeriodEffect:
     return PeriodEffect(first.value, first.standard_error, second.value, second.standard_error)
 
 
-def _by_period(rollout, days: np.ndarray) -> np.ndarray:
+def _by_period(rollout, steps: np.ndarray) -> np.ndarray:
     """[P, N] the cash of each period."""
     cash = np.asarray(rollout.record["outputs"][OUTPUT], np.float64)
-    result = days @ cash
+    result = steps @ cash
     result[-1] += np.asarray(rollout.totals[OUTPUT], np.float64) - cash.sum(axis=0)
     return result
 

@@ -66,27 +66,24 @@ class PriceRise(NamedTuple):
 
 
 def price_rises(
-    periods: Sequence[DeliveryPeriod],
-    days: Sequence[Any],
-    curve: Use,
-    values: np.ndarray,
-    steps_a_day: int = 1,
+    periods: Sequence[DeliveryPeriod], days: Sequence[Any], curve: Use, values: np.ndarray
 ) -> list[PriceRise]:
-    """The rises of one product for each period of these days of delivery.
+    """The rises of one product for each period.
 
-    `curve`: the forward prices `values` [n] and where they are used on all steps of the simulator.
-    A day has `steps_a_day` steps.
+    `days`: the dates of the steps of the simulator; `curve`: the forward prices `values` [n] and
+    where they are used on these steps.
     """
     name, size, rises = curve.name, len(values), []
     index = curve.in_numpy({name: np.arange(size)})
-    prices = curve.in_numpy({name: values})[::steps_a_day]
+    prices = curve.in_numpy({name: values})
     for title, first, after in periods:
         along = np.zeros(size)
         dates = str(days[first])[:10], str(days[after - 1])[:10]
-        steps = slice(first * steps_a_day, after * steps_a_day)
+        steps = slice(first, after)
         along[index[steps]] = 1.0
-        price = float(prices[first:after].mean())
-        rises.append(PriceRise(title, dates, steps, index[steps], along, price))
+        rises.append(
+            PriceRise(title, dates, steps, index[steps], along, float(prices[steps].mean()))
+        )
     return rises
 
 
