@@ -74,9 +74,9 @@ class JobContract:
         such as the objective, nothing of the `setup` of the contract can be used."""
         keys = (key_as_in(self.tables, move.key) for move in moves if move.value)
         if any(key.partition(".")[0] in SETTINGS for key in keys):
-            anew = self.domain.study(case, Options()).setup
-            assert anew is not None
-            return anew()
+            make_setup = self.domain.study(case, Options()).setup
+            assert make_setup is not None
+            return make_setup()
         assert self.study.setup_at is not None
         return self.study.setup_at(setup, case)
 

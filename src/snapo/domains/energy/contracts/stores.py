@@ -141,13 +141,13 @@ class StoresContract(EnergyContract):
     def check_together(self, file: str, days: Sequence[Any]) -> None:
         at, unit = CaseInput.used, self.layout.levels[0].unit
         sets = _feasible(self._daily_flows(at), *self._limits(at), self.transfers)
-        least, most = sets.total_low[0], sets.total_high[0]
-        gas, near = float(xp.sum(self._start(at))), ROUNDED * max(1.0, float(most))
-        if least - near <= gas <= most + near:
+        low, high = sets.total_low[0], sets.total_high[0]
+        gas, near = float(xp.sum(self._start(at))), ROUNDED * max(1.0, float(high))
+        if low - near <= gas <= high + near:
             return
-        above = gas > most
+        above = gas > high
         key = "net_withdrawal" if above else "net_injection"
-        limit = f"at most {most:.10g}" if above else f"at least {least:.10g}"
+        limit = f"at most {high:.10g}" if above else f"at least {low:.10g}"
         number: CaseInput | None = getattr(self, key)
         message = (
             f"with this limit both stores together must have {limit} {unit} on {days[0]}, but they "
