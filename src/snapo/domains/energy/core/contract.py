@@ -146,10 +146,10 @@ class ContractLayout(NamedTuple):
             for one in dict.fromkeys(before)
         )
 
-    def opposite(self, move: int) -> tuple[tuple[int, int], ...]:
-        """The pairs of places in the flows of a move for two flows that change the same level
+    def opposite(self, m: int) -> tuple[tuple[int, int], ...]:
+        """The pairs of places in the flows of move m for two flows that change the same level
         first. In a step only one of the two is above zero."""
-        flows = self.every_move[move].flows
+        flows = self.every_move[m].flows
         first = [np.flatnonzero(self.flows[flow].effects)[:1].tolist() for flow in flows]
         both = combinations(range(len(flows)), 2)
         return tuple((i, j) for i, j in both if first[i] and first[i] == first[j])

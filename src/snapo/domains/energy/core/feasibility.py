@@ -189,12 +189,12 @@ def _range(
 
 
 def one_direction(
-    layout: ContractLayout, move: int, made: Sequence[Array] | Array, smooth
+    layout: ContractLayout, m: int, made: Sequence[Array] | Array, smooth
 ) -> list[Array]:
-    """The volumes of the flows of a move; in the exact form the smaller one of two opposite
+    """The volumes of the flows of move m; in the exact form the smaller one of two opposite
     volumes is zero. In the smooth form both remain, so that a policy keeps its derivatives."""
     result = list(made)
-    for i, j in layout.opposite(move) if isinstance(smooth, Exact) else ():
+    for i, j in layout.opposite(m) if isinstance(smooth, Exact) else ():
         first, second = result[i], result[j]
         result[i] = jnp.where(second > first, 0.0, first)
         # If both are zero, both keep their derivatives.

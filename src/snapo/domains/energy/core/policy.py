@@ -66,8 +66,8 @@ class UnitValuePolicy(Policy):
             for width, part in zip(widths, parts)
         ]
         gained = [_gained(*x, gains.room[i] * widths[i]) for i, x in enumerate(zip(units, parts))]
-        for m, places in enumerate(layout.places):
-            for i, j in [(places[a], places[b]) for a, b in layout.opposite(m)]:
+        for m, numbers in enumerate(layout.places):
+            for i, j in [(numbers[a], numbers[b]) for a, b in layout.opposite(m)]:
                 for k, weight in zip((i, j), one_of_two(gained[i], gained[j], smooth)):
                     shares[k], gained[k] = weight * shares[k], weight * gained[k]
         if not layout.choices:
@@ -185,8 +185,8 @@ def one_of_two(first: Array, second: Array, smooth) -> Array:
     """[2] the weights of two opposite flows with these gains: 1 on both unless both gain, as they
     may at negative prices; then 1 on the larger gain and 0 on the other one. The smooth form goes
     from ones to a softmax of the gains, as the smaller gain grows from zero."""
-    least = jnp.minimum(first, second)
-    both = jnp.where(least > 0, 2 * smooth.indicator(least) - 1, 0.0)
+    smaller = jnp.minimum(first, second)
+    both = jnp.where(smaller > 0, 2 * smooth.indicator(smaller) - 1, 0.0)
     return 1 - both * (1 - smooth.weights(jnp.stack([first, second])))
 
 

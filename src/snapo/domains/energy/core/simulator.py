@@ -240,7 +240,7 @@ class EnergySimulator(PricedSimulator):
         for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
             after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
             if room is not None:
-                made = [room.at(k, action[place]) for k, place in enumerate(places[i])]
+                made = [room.at(k, action[n]) for k, n in enumerate(places[i])]
                 for flow, volume in zip(move.flows, one_direction(layout, i, made, smooth)):
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
