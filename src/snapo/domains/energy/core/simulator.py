@@ -229,7 +229,7 @@ class EnergySimulator(PricedSimulator):
         def positive(x):
             return smooth.positive_part(x, scale)
 
-        places, spaces = layout.places, []
+        numbers, spaces = layout.places, []
         if layout.fixed_volumes:
             earned, volumes = of_fixed_moves(layout, terms, prices)
             flows = [jnp.sum(weights * volume) for volume in volumes]
@@ -240,7 +240,7 @@ class EnergySimulator(PricedSimulator):
         for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
             after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
             if room is not None:
-                made = [room.at(k, action[n]) for k, n in enumerate(places[i])]
+                made = [room.at(k, action[n]) for k, n in enumerate(numbers[i])]
                 for flow, volume in zip(move.flows, one_direction(layout, i, made, smooth)):
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
