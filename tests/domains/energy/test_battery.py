@@ -3,35 +3,18 @@
 import datetime
 import shutil
 
-import jax
-import jax.numpy as jnp
 import numpy as np
 import pytest
-from tests.domains.energy.energy_cases import (
-    HOME,
-    battery,
-    best_plan,
-    case_at,
-    exact,
-    rule_between,
-)
+from tests.domains.energy.energy_cases import HOME, battery, best_plan, case_at, exact
 
 from snapo.case.error import CaseError
-from snapo.domains.energy.core.policy import UnitValuePolicy, one_of_two
 from snapo.domains.energy.methods.grid import grid_of
-from snapo.domains.energy.methods.hindsight import EnergyRelaxation
 from snapo.domains.energy.methods.intrinsic import intrinsic_value
 from snapo.domains.energy.methods.lattice import refined
 from snapo.domains.energy.read.hours import hours_of
-from snapo.domains.energy.setup import bare_problem, factors_of, make_setup
-from snapo.engine import TRAJECTORY
-from snapo.problem.smooth import Exact, Smooth
-from snapo.solver.bound import bound
+from snapo.domains.energy.setup import bare_problem, factors_of
 from snapo.solver.derivatives.interval import one_percent
-from snapo.solver.evaluate import path_totals
-from snapo.testing.derivatives import wrong_derivatives
 
-START = datetime.datetime(2026, 5, 4)
 HOURS = [f"2026-05-04T{hour:02d}:00" for hour in range(6)]
 
 
@@ -141,121 +124,6 @@ def test_energy_is_not_stored_and_taken_in_one_hour(tmp_path):
     case = case_at(tmp_path, keys | {"model.kind": "one-factor-normal"})
     value = intrinsic_value(case.contract.layout, bare_problem(case).schedule)
     assert value < 0.98 * best_plan(case)
-
-
-BURNT = {
-    "start": START, "energy": 1.0, "stored": 0.5, "wear": 0.0, "cycles": None,
-    "charge": {"power": 2.0, "efficiency": 0.5}, "discharge": {"power": 1.0, "efficiency": 0.5},
-}  # fmt: skip
-
-
-def negative(folder, prices, volatility, **changes):
-    """A battery that loses three quarters of what it buys, at these prices of the first hours."""
-    shutil.copytree(HOME / "template_battery", folder, dirs_exist_ok=True)
-    times = [START + datetime.timedelta(hours=n) for n in range(len(prices) + 1)]
-    rows = [f"{time:%Y-%m-%dT%H:%M},{price}" for time, price in zip(times, prices)]
-    (folder / "curve.csv").write_text("\n".join(["time,price", *rows]))
-    keys = BURNT | {"end": times[-1]} | changes
-    model = {"model.kind": "one-factor-normal", "model.volatility": volatility}
-    return case_at(folder, {f"contract.{name}": value for name, value in keys.items()} | model)
-
-
-def one_step(case, shares, smooth):
-    """[2] what is charged and discharged in the first hour by these shares."""
-    problem = bare_problem(case)
-    simulator, schedule = problem.simulator, jax.tree.map(jnp.asarray, problem.schedule)
-
-    @jax.jit
-    def flows(action):
-        row = jax.tree.map(lambda leaf: leaf[0], schedule.steps)
-        state = simulator.initial(schedule.constants, jnp.zeros(simulator.initial_noise_size))
-        noise = jnp.zeros(simulator.noise_size)
-        outputs = simulator.step(schedule.constants, row, state, action, noise, smooth)[1]
-        return jnp.stack([outputs["charge"], outputs["discharge"]])
-
-    return np.asarray(flows(jnp.array(shares)))
-
-
-@pytest.mark.parametrize(
-    ("shares", "volumes"),
-    [([1, 0.6], [0.5, 0]), ([0.6, 1], [0, 0.5]), ([1, 1], [0.5, 0]), ([0, 1], [0, 0.5])],
-)
-@pytest.mark.parametrize("intraday", [None, {"half_spread": 1.0}])
-def test_of_two_volumes_in_one_hour_the_larger_one_flows(shares, volumes, intraday, tmp_path):
-    """Half a MWh is free on either side. A smooth hour is left as it is."""
-    auction = intraday and {"step": "1h"}
-    case = negative(tmp_path, [-100, -50], 1e-6, intraday=intraday, auction=auction)
-    action = shares * (1 if intraday is None else 3)
-    assert one_step(case, action, Exact()) == pytest.approx(volumes, abs=1e-6)
-    both = 0.5 * np.array(shares)
-    assert one_step(case, action, Smooth(1e-6)) == pytest.approx(both, abs=1e-5)
-
-
-def test_of_two_gains_the_larger_one_counts():
-    """Ones unless both are positive; the smooth weights are continuous, and their derivatives those
-    of central differences."""
-    gains = [(0.2, 0.3), (0.3, 0.2), (0.3, 0.0), (0.0, 0.0), (-0.1, 0.2), (-0.1, -0.2)]
-    gains = jnp.array(gains)
-
-    def weights(smooth):
-        return jax.vmap(lambda x: one_of_two(x[0], x[1], smooth))
-
-    expected = [[0, 1], [1, 0], [1, 1], [1, 1], [1, 1], [1, 1]]
-    assert weights(Exact())(gains).tolist() == expected
-    smooth = jax.jit(weights(Smooth(0.05)))
-    assert smooth(gains)[2:].tolist() == expected[2:]
-    assert smooth(jnp.array([[0.3, 1e-7]])) == pytest.approx(np.ones((1, 2)), abs=1e-5)
-    assert smooth(jnp.array([[0.9, 2.0]]))[0] == pytest.approx([0, 1], abs=1e-5)
-    with jax.enable_x64(True):
-        pairs, width = jnp.array([[0.02, 0.05], [0.06, 0.03], [0.1, 0.01], [-0.1, 0.2]]), 1e-6
-        for one in jnp.eye(2):
-            slopes = jax.jvp(smooth, (pairs,), (jnp.broadcast_to(one, pairs.shape),))[1]
-            central = (smooth(pairs + width * one) - smooth(pairs - width * one)) / (2 * width)
-            np.testing.assert_allclose(slopes, central, atol=1e-7)
-
-
-@pytest.mark.prove
-@pytest.mark.parametrize("engine", ["native", "xla"])
-def test_two_hours_at_negative_prices(engine, tmp_path):
-    """Half a MWh is stored for 100 and the battery is full. By hand: 75 if it is emptied first, 50
-    if it waits. Both flows in the first hour had 125."""
-    case = negative(tmp_path, [-100, -50], 1e-6)
-    setup = make_setup(case, engine)
-    assert isinstance(setup.policy, UnitValuePolicy)
-    problem, rule, local = setup.problem, setup.policy.value_rule, setup.engines.evaluate
-    result = bound(problem, rule, relaxation=EnergyRelaxation(problem), engine=local, paths=64)
-    assert result.lower.value == pytest.approx(100.0, abs=1e-3)
-    assert 0 <= result.gap.value <= 1e-3
-    assert exact(case) == pytest.approx(100.0, abs=1e-3)
-
-
-HOURLY = [-100.0, -60.0, -140.0, -90.0, -40.0, -120.0, -70.0, -110.0]
-
-
-@pytest.mark.prove
-@pytest.mark.parametrize(
-    ("changes", "below"),
-    [
-        ({}, 0.99),
-        ({"reserve": {"price": 20.0, "stock": [0.2, 0.8]}}, 0.99),
-        ({"auction": {"step": "4h"}, "intraday": {"half_spread": 5.0}}, 0.8),
-    ],
-)
-def test_one_direction_at_negative_prices(changes, below, tmp_path):
-    """In no hour of any path both flows. The policy is near the lattice and below the bound,
-    engines agree, and derivatives are those of central differences: with decisions held fixed,
-    and smooth ones through the policy."""
-    changes = {"stored": 0.0, "charge": {"power": 1.0, "efficiency": 0.5}} | changes
-    case = negative(tmp_path, HOURLY, 500.0, **changes)
-    problem, rule, engine = rule_between(case, below, 1.02, "native")
-    draws = problem.sources.evaluation.draws(np.arange(512), problem.simulator)
-    outputs = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY).record["outputs"]
-    charged, taken = (np.asarray(outputs[name]) > 0 for name in ("charge", "discharge"))
-    assert charged.any() and taken.any() and not np.any(charged & taken)
-    totals = [path_totals(problem, rule, 256, engine=x) for x in (engine, None)]
-    np.testing.assert_allclose(totals[0]["cash_flow"], totals[1]["cash_flow"], rtol=1e-9)
-    assert wrong_derivatives(problem, rule, paths=16, engine=engine) == []
-    assert wrong_derivatives(problem, rule, paths=16, smooth=Smooth(0.05), engine=engine) == []
 
 
 @pytest.mark.prove

@@ -226,29 +226,6 @@ def test_policy_and_bound_enclose_the_exact_value(changes, tmp_path):
     np.testing.assert_allclose(np.asarray(rollout.state.levels)[:, :2], 0.0, atol=1e-4)
 
 
-@pytest.mark.prove
-def test_no_store_injects_and_withdraws_at_negative_prices(tmp_path):
-    """With fuel a store could burn gas so. The rule is near the lattice and not above it, and has
-    the derivatives of central differences."""
-    lossy = {"injection_fuel": 0.25, "withdrawal_fuel": 0.25, "end": DAY(2027, 1, 9)}
-    model = {"kind": "one-factor-normal", "volatility": 20.0}
-    file, data = tables(tmp_path, fast=lossy, slow=lossy, model=model)
-    rows = [f"{START + datetime.timedelta(n)},{-price}" for n, price in enumerate(PRICES)]
-    (tmp_path / "curve.csv").write_text("\n".join(["date,price", *rows]))
-    this = read_case(file, data)
-    setup, value = make_setup(this, Native()), exact(this)
-    problem, rule, engine = setup.problem, setup.policy.value_rule, setup.engines.evaluate
-    result = evaluate(problem, rule, paths=4096, engine=engine)
-    assert 0.99 * value <= result.value + 3 * result.standard_error
-    assert result.value <= value + 3 * result.standard_error
-    draws = problem.sources.evaluation.draws(np.arange(512), problem.simulator)
-    flows = engine.bind(problem).values(rule, draws, Exact(), record=TRAJECTORY).record["outputs"]
-    for name in ("fast", "slow"):
-        injected, withdrawn = (np.asarray(flows[f"{x} {name}"]) > 0 for x in ("inject", "withdraw"))
-        assert injected.any() and withdrawn.any() and not np.any(injected & withdrawn)
-    assert wrong_derivatives(problem, rule, paths=16, engine=engine) == []
-
-
 @pytest.mark.study
 def test_without_a_joint_limit_value_deltas_and_bounds_are_sums(tmp_path):
     """Measured on paths, both stores apart by the methods of a gas store: within two errors."""

@@ -19,7 +19,6 @@ settled (`short` for each unit below `owed`) and set to zero, as at the end of a
 
 import abc
 from collections.abc import Callable, Mapping, Sequence
-from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -54,8 +53,8 @@ class ContractMove(NamedTuple):
     """A way through one step.
 
     - `name`: its name in reports; `before`, `after`: the modes.
-    - `flows`: indices of the flows that may be above zero. In a step at most one of those on the
-      same level is, also at negative prices, at which losses earn money.
+    - `flows`: indices of the flows that may be above zero; a method that compares volumes uses at
+      most one of them in a step.
     - `changes`: the changes of each level, for all flows.
     """
 
@@ -145,14 +144,6 @@ class ContractLayout(NamedTuple):
             tuple(count + k for k, mode in enumerate(before) if mode == one)
             for one in dict.fromkeys(before)
         )
-
-    def opposite(self, move: int) -> tuple[tuple[int, int], ...]:
-        """The pairs of places in the flows of a move for two flows that change the same level
-        first. In a step only one of the two is above zero."""
-        flows = self.every_move[move].flows
-        first = [np.flatnonzero(self.flows[flow].effects)[:1].tolist() for flow in flows]
-        both = combinations(range(len(flows)), 2)
-        return tuple((i, j) for i, j in both if first[i] and first[i] == first[j])
 
     @property
     def signs(self) -> tuple[int, ...]:

@@ -7,7 +7,6 @@ limits.
 """
 
 import functools
-from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -15,7 +14,6 @@ import numpy as np
 from snapo.case.error import CaseError
 from snapo.problem.record.arrays import Array, Float, jax, jnp
 from snapo.problem.record.either import backwards, fixed, xp
-from snapo.problem.smooth import Exact
 
 from .contract import ContractLayout, ContractMove, StepPrices, StepTerms
 
@@ -186,20 +184,6 @@ def _range(
         if effect:
             (need if effect > 0 else leave).append(-room / effect)
     return functools.reduce(jnp.maximum, need), functools.reduce(jnp.minimum, leave)
-
-
-def one_direction(
-    layout: ContractLayout, move: int, made: Sequence[Array] | Array, smooth
-) -> list[Array]:
-    """The volumes of the flows of a move; in the exact form the smaller one of two opposite
-    volumes is zero. In the smooth form both remain, so that a policy keeps its derivatives."""
-    result = list(made)
-    for i, j in layout.opposite(move) if isinstance(smooth, Exact) else ():
-        first, second = result[i], result[j]
-        result[i] = jnp.where(second > first, 0.0, first)
-        # If both are zero, both keep their derivatives.
-        result[j] = jnp.where((first >= second) & (first > 0), 0.0, second)
-    return result
 
 
 def volumes_by_move(

@@ -36,7 +36,7 @@ from snapo.problem.smooth import EXACT
 from ...gas_storage.prices.factors import FactorPrices
 from ...gas_storage.prices.process import PriceProcess
 from .contract import ContractLayout, StepPrices
-from .feasibility import one_direction, volumes
+from .feasibility import volumes
 from .observation import observation
 from .policy import UnitValuePolicy
 from .schedule import Constants, State, Step
@@ -144,13 +144,9 @@ class IntradaySimulator(EnergySimulator):
         shares = action.reshape((VIEWS, len(layout.pairs)))
         rooms = [volumes(layout, ONLY_MOVE, now, x.levels, smooth, scale) for x in (plan, state)]
         effects, flows = jnp.asarray(layout.effects), np.array(layout.every_move[ONLY_MOVE].flows)
-        views = [
+        planned, low, high = (
             room.forced + share * (room.most - room.forced)
             for room, share in zip((rooms[0], rooms[1], rooms[1]), shares)
-        ]
-        # If each of the three has one direction, so has the volume between them.
-        planned, low, high = (
-            jnp.stack(one_direction(layout, ONLY_MOVE, view, smooth)) for view in views
         )
         made = jnp.clip(planned, jnp.minimum(low, high), jnp.maximum(low, high))
         levels, scheduled = (

@@ -1,9 +1,8 @@
 """The policy of all contracts: the fitted value of a unit of each level and mode, and a network.
 
-A volume flows as long as a unit of it earns more than the value of the levels loses. If two
-opposite flows both gain, only the one with the larger gain flows. The move with the largest gain is
-made. The network corrects the value of a unit of each level, how it changes with the volume, and
-the value of each mode.
+A volume flows as long as a unit of it earns more than the value of the levels loses; the move with
+the largest gain is made. The network corrects the value of a unit of each level, how it changes
+with the volume, and the value of each mode.
 """
 
 from typing import Any
@@ -65,16 +64,12 @@ class UnitValuePolicy(Policy):
             sum((width[k] * share for k, share in enumerate(part)), jnp.zeros(()))
             for width, part in zip(widths, parts)
         ]
-        gained = [_gained(*x, gains.room[i] * widths[i]) for i, x in enumerate(zip(units, parts))]
-        for m, places in enumerate(layout.places):
-            for i, j in [(places[a], places[b]) for a, b in layout.opposite(m)]:
-                for k, weight in zip((i, j), one_of_two(gained[i], gained[j], smooth)):
-                    shares[k], gained[k] = weight * shares[k], weight * gained[k]
         if not layout.choices:
             return jnp.stack(shares)
         if layout.fixed_volumes:
             return jnp.concatenate([jnp.stack(shares), _weights(layout, base, smooth)])
         scores = [base[k] for k in range(len(layout.choices))]
+        gained = [_gained(*x, gains.room[i] * widths[i]) for i, x in enumerate(zip(units, parts))]
         for k, m in enumerate(layout.choices):
             for i in layout.places[m]:
                 scores[k] = scores[k] + gained[i]
@@ -179,15 +174,6 @@ def _gained(unit: Array, shares: list[Array], widths: Array) -> Array:
          for k, share in enumerate(shares)),
         jnp.zeros(()),
     )  # fmt: skip
-
-
-def one_of_two(first: Array, second: Array, smooth) -> Array:
-    """[2] the weights of two opposite flows with these gains: 1 on both unless both gain, as they
-    may at negative prices; then 1 on the larger gain and 0 on the other one. The smooth form goes
-    from ones to a softmax of the gains, as the smaller gain grows from zero."""
-    least = jnp.minimum(first, second)
-    both = jnp.where(least > 0, 2 * smooth.indicator(least) - 1, 0.0)
-    return 1 - both * (1 - smooth.weights(jnp.stack([first, second])))
 
 
 def _weights(layout: ContractLayout, scores: Array, smooth) -> Array:

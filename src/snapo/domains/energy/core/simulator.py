@@ -28,7 +28,7 @@ from ...gas_storage.contract.schedule import Discount, PricedSimulator
 from ...gas_storage.policy.network import curve_ahead
 from ...gas_storage.prices.process import PriceProcess, TwoPrices, in_numpy, use
 from .contract import ContractLayout, EnergyContract, StepPrices, level_money
-from .feasibility import charged, intervals, of_fixed_moves, one_direction, volumes_by_move
+from .feasibility import charged, intervals, of_fixed_moves, volumes_by_move
 from .observation import observation
 from .schedule import Constants, State, Step
 from .tables import Surprises, UnitValueTable, at_end, of_step
@@ -240,8 +240,8 @@ class EnergySimulator(PricedSimulator):
         for i, (move, room) in enumerate(zip(layout.every_move, spaces)):
             after, earned = state.levels + jnp.asarray(move.changes), prices.move(terms, i)
             if room is not None:
-                made = [room.at(k, action[place]) for k, place in enumerate(places[i])]
-                for flow, volume in zip(move.flows, one_direction(layout, i, made, smooth)):
+                for k, flow in enumerate(move.flows):
+                    volume = room.at(k, action[places[i][k]])
                     after = after + volume * jnp.asarray(layout.flows[flow].effects)
                     earned = earned + volume * prices.unit(terms, flow)
                     flows[flow] = flows[flow] + weights[i] * volume
