@@ -10,7 +10,7 @@ from snapo.study.chapters.profile import PROFILE
 from snapo.study.chapters.sensitivities import sensitivities
 from snapo.study.domain import Report
 
-from .chapters.baselines import BASELINES
+from .chapters.baselines import BASELINES, objective_text
 from .chapters.costs import costs
 from .chapters.plane import PLANE
 
@@ -31,9 +31,8 @@ MENU = {
 def about(run: RunFiles) -> list[tuple[str, str]]:
     """The lines below the title of the report."""
     steps = f"{number(run.get('horizon'), 0)} steps"
-    objective = str(run.get("objective", ""))
     return [("Plant", str(run.get("plant_words", ""))), ("Horizon", steps),
-            ("Objective", objective)]  # fmt: skip
+            ("Objective", objective_text(run))]  # fmt: skip
 
 
 REPORT = Report("A controlled plant", RunFiles, about, SECTIONS, MENU)

@@ -349,7 +349,7 @@ def test_a_mistake_in_the_data_is_named(mistake, case, capsys):
         ("kinetics.activation", "estimation.experiments.one.settings"),
     ],
 )
-def test_a_number_that_an_estimation_moves_cannot_be_held(held, where, case, capsys):
+def test_a_number_of_an_estimation_cannot_be_held(held, where, case, capsys):
     setting = '"kinetics.activation[product]" = "41 kJ/mol"'
     more = ESTIMATION.replace('"reactor.temperature" = "303 K"', setting)
     file = case / "case.toml"

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from snapo.case.error import CaseError
-from snapo.case.error import show as shown
+from snapo.case.error import show as text_of
 from snapo.engine import Xla
 from snapo.problem.inputs import plain
 from snapo.problem.objective import Mean, Objective
@@ -81,6 +81,11 @@ def plant_of(run: StudyRun) -> Plant:
     return plant
 
 
+def objective_text(run: RunFiles) -> str:
+    """The objective as text, "mean reward of an episode"."""
+    return str(run.get("objective", "objective"))
+
+
 def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
     """A ladder of values, and the advantage of the policy over each rule."""
     value = run.result.value
@@ -93,7 +98,7 @@ def show(run: RunFiles, result: Baselines) -> Sequence[Block]:
         bars.append(Bar("optimum, in closed form", result.optimum))
     digits = decimals([bar.value for bar in bars], 5)
     bars.sort(key=lambda bar: -bar.value)
-    objective = str(run.get("objective", "objective"))
+    objective = objective_text(run)
     columns = (
         Column("Rule", "name"),
         Column("Value", "value"),
@@ -171,9 +176,8 @@ def check_same(plant: Plant, inputs: Any, objective: Objective) -> None:
     values["plant.horizon"], usual["plant.horizon"] = plant.horizon, plant.steps
     for name, value in values.items():
         if value != usual[name]:
-            allowed = (
-                f"it must be {shown(usual[name])}, as in {plant.twin}; or leave out --reference"
-            )
+            allowed = f"it must be {text_of(usual[name])}, as in {plant.twin}; or leave out "
+            allowed += "--reference"
             raise CaseError("--reference", name, value, allowed)
     if plant.disturbed_parts or plant.measured or plant.time_feature:
         allowed = f"{plant.twin} has no disturbances, no noise and no observed time; "

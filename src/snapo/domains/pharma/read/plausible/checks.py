@@ -70,11 +70,11 @@ def check_moved(case: PharmaCase) -> None:
         "control.manipulated": [x.input for x in case.control.manipulated] if case.control else (),
         "estimation.fit": estimation.inputs if estimation else (),
     }
-    moved = [(f"{key}[{i}].of", name) for key, xs in tables.items() for i, name in enumerate(xs)]
-    moved += [("uncertainty.of", name) for name in case.uncertainty.inputs]
+    varied = [(f"{key}[{i}].of", name) for key, xs in tables.items() for i, name in enumerate(xs)]
+    varied += [("uncertainty.of", name) for name in case.uncertainty.inputs]
     for x in (*estimation.experiments, *estimation.held_out) if estimation else ():
-        moved += [(f"estimation.experiments.{x.name}.settings", name) for name, *_ in x.settings]
-    for where, name in moved:
+        varied += [(f"estimation.experiments.{x.name}.settings", name) for name, *_ in x.settings]
+    for where, name in varied:
         if name in case.held:
             message = "this number is in the list `held`, whose numbers cannot be varied"
             raise CaseError(str(case.file), where, name, message)
