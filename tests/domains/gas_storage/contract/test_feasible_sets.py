@@ -117,10 +117,10 @@ def test_sets_against_a_grid(store):
         low = 4.0 * random.integers(0, 25)
         sets = feasible_sets(every, low, low + 4, "step")
         exact = feasible(every, (low, low + 4), levels)
-        for found, possible in zip(sets, exact, strict=True):
+        for ranges, possible in zip(sets, exact, strict=True):
             inside = np.zeros(len(levels), bool)
-            for first, last in found:
+            for first, last in ranges:
                 inside |= (levels > first) & (levels < last)
             assert np.array_equal(inside, possible)
-            split += len(found) > 1
+            split += len(ranges) > 1
     assert split > 20

@@ -6,7 +6,7 @@ linear (or constant) between ratchet rows, the set of the next day is computed e
 day with an empty set has the first constraint that no decision can meet.
 
 Backwards from the end date, the inventories from which the contract can be met form a few intervals
-too. Policies use one interval of each day, see `reachable`. A case is refused if another one of
+too. Policies use one interval a day, see `reachable`. A case is refused if another one of
 these intervals can be reached.
 """
 
@@ -222,8 +222,8 @@ def _may_split(limits: InventoryLimits, interpolation: str) -> bool:
     if interpolation == "step" or (limits.min_injection + limits.min_withdrawal > 0).any():
         return True
     keep = limits.levels * (1 - limits.inventory_loss[:, None])
-    ends = keep - limits.withdrawal_rate, keep + limits.injection_rate
-    return any((np.diff(end, axis=1) < 0).any() for end in ends)
+    reached = keep - limits.withdrawal_rate, keep + limits.injection_rate
+    return any((np.diff(end, axis=1) < 0).any() for end in reached)
 
 
 @with_numpy
@@ -236,13 +236,13 @@ def feasible_sets(
     sets = [[(float(end_low), float(end_high))]]
     for t in reversed(range(len(limits.minimum))):
         day = InventoryLimits(*(leaf[t] for leaf in limits))
-        found: list[FlowInterval] = []
+        parts: list[FlowInterval] = []
         for interval in sets[-1]:
             low, high, some, _, stops = pieces(day, interval, interpolation, tolerance)
             some = some & ~(stops & (high - low <= tolerance))
             high = high - 2 * tolerance * stops  # so that no other inventory reaches it by rounding
-            found += zip(low[some].tolist(), high[some].tolist())
-        sets.append(_merge(found, 4 * tolerance))
+            parts += zip(low[some].tolist(), high[some].tolist())
+        sets.append(_merge(parts, 4 * tolerance))
     return sets[::-1]
 
 

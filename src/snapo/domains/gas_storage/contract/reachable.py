@@ -66,7 +66,7 @@ def pieces(day: InventoryLimits, successor, interpolation: str, tolerance):
     neighbouring ratchet rows.
 
     Five arrays, or pairs of arrays, by piece: `low`; `high`; whether the piece has such
-    inventories; whether they begin and end with the piece; and whether the piece ends before a row
+    inventories; whether they begin and end with the piece; and whether the piece stops before a row
     from which the interval cannot be reached.
     """
     next_low, next_high = successor
