@@ -88,15 +88,15 @@ def test_fixed_costs_move_no_mark(costly):
     discount = np.exp(-0.03 / 365)
     cash = 5 * (20 - 0.05) * (1 + discount)
     for costs, fixed in ((None, 0.0), ("costs.csv", 50 + 30 * discount)):
-        found = costly(**({} if costs is None else {"fixed_costs": costs}))
-        assert len(found.marks) == 2
-        first, second = found.marks
+        results = costly(**({} if costs is None else {"fixed_costs": costs}))
+        assert len(results.marks) == 2
+        first, second = results.marks
         values = [
-            found.realised, found.expected, found.rolling, first.intrinsic, first.expected,
+            results.realised, results.expected, results.rolling, first.intrinsic, first.expected,
             second.cash + second.expected, second.cash + second.intrinsic,
         ]  # fmt: skip
         assert values == pytest.approx([cash - fixed] * len(values), abs=1e-6)
-        assert found.mark_deviation == pytest.approx(0.0, abs=1e-6)
+        assert results.mark_deviation == pytest.approx(0.0, abs=1e-6)
 
 
 @pytest.mark.parametrize(

@@ -3,8 +3,11 @@ exact sets.
 
 The inventories that can be in store at the start of a day form a few intervals. Since the rates are
 linear (or constant) between ratchet rows, the set of the next day is computed exactly. The first
-day with an empty set has the first constraint that no decision can meet. `reachable` computes sets
-backwards.
+day with an empty set has the first constraint that no decision can meet.
+
+Backwards from the end date, the inventories from which the contract can be met form a few intervals
+too. Policies use one interval a day, see `reachable`. A case is refused if another one of
+these intervals can be reached.
 """
 
 from bisect import bisect_right
@@ -15,10 +18,15 @@ from itertools import pairwise
 import numpy as np
 
 from snapo.case.error import CaseError
+from snapo.case.given import CaseInput
+from snapo.problem.record.either import with_numpy
 
+from .reachable import InventoryLimits, pieces, reachable, tolerance_of
 from .records import StorageCase
+from .terms import end_interval, inventory_limits
 
 FlowInterval = tuple[float, float]
+FEW = 0.02  # of the largest inventory: narrower intervals cost little if they are not used
 
 
 @dataclass(frozen=True)
@@ -58,9 +66,9 @@ class Corner:
     injection: float
 
 
-def check_feasible(case: StorageCase) -> None:
+def check_feasible(case: StorageCase) -> str:
     """Raises `CaseError` with the first date on which no decisions can keep a constraint, and this
-    constraint."""
+    constraint. The result is a note on the case, or ""."""
     forced = case.contract.min_injection.used(), case.contract.min_withdrawal.used()
     for t in np.flatnonzero((forced[0] > 0) & (forced[1] > 0))[:1]:
         message = (
@@ -68,7 +76,7 @@ def check_feasible(case: StorageCase) -> None:
             f"{forced[1][t]:g} are both forced, but a day can have only one of them"
         )
         raise _error(case, "min_injection", float(forced[0][t]), message)
-    attainable(case)
+    return _check_whole(case, attainable(case))
 
 
 def attainable(case: StorageCase) -> list[list[FlowInterval]]:
@@ -173,20 +181,95 @@ def _able(day: FeasibleDay, piece: tuple[Corner, Corner], tolerance: float):
     return (left, middle) if spare[0] >= 0 else (middle, right)
 
 
-def _merge(intervals: list[FlowInterval]) -> list[FlowInterval]:
+@with_numpy
+def _check_whole(case: StorageCase, attained: list[list[FlowInterval]]) -> str:
+    """Refuses a case if inventories that can be in store, and from which the contract can be met,
+    are outside the interval that policies use. If they are few, the result is a note; otherwise it
+    is ""."""
+    contract, kind = case.contract, case.contract.ratchets.interpolation
+    limits, end = inventory_limits(contract, CaseInput.used), end_interval(contract, CaseInput.used)
+    if not _may_split(limits, kind):
+        return ""
+    used, sets = reachable(limits, *end, kind), feasible_sets(limits, *end, kind)
+    margin, few = 1e3 * slack(case), FEW * float(np.max(limits.maximum))
+    unused: list[tuple[float, int, FlowInterval]] = []
+    for t in reversed(range(len(sets))):
+        low, high = float(used[0][t]), float(used[1][t])
+        for first, last in sets[t]:
+            both = [(max(x, first), min(y, last)) for x, y in attained[t]]
+            both = [(x, y) for x, y in both if x <= y]
+            if all(low - margin <= x and y <= high + margin for x, y in both):
+                continue
+            below = both[0][0] < low - margin
+            other = (first, min(last, low)) if below else (max(first, high), last)
+            if other[1] - other[0] > few or t == 0:  # policies could not even begin
+                raise _split(case, t, sorted({other, (low, high) if low <= high else other}))
+            unused.append((other[1] - other[0], t, other))
+    if not unused:
+        return ""
+    _, t, widest = max(unused)
+    return (
+        f"contract.ratchets: on {_date(case, t)} the contract can be met with "
+        f"{_words([widest], 6)} in store, but policies do not use these inventories, because they "
+        "use only one range of inventories on each day."
+    )
+
+
+def _may_split(limits: InventoryLimits, interpolation: str) -> bool:
+    """Whether the inventories from which the contract can be met may be several intervals."""
+    if limits.levels.shape[1] == 1:
+        return False
+    if interpolation == "step" or (limits.min_injection + limits.min_withdrawal > 0).any():
+        return True
+    keep = limits.levels * (1 - limits.inventory_loss[:, None])
+    reached = keep - limits.withdrawal_rate, keep + limits.injection_rate
+    return any((np.diff(end, axis=1) < 0).any() for end in reached)
+
+
+@with_numpy
+def feasible_sets(
+    limits: InventoryLimits, end_low: float, end_high: float, interpolation: str
+) -> list[list[FlowInterval]]:
+    """The inventories at the start of each day and on the end date, [T + 1], from which the
+    contract can be met."""
+    tolerance = float(tolerance_of(limits))
+    sets = [[(float(end_low), float(end_high))]]
+    for t in reversed(range(len(limits.minimum))):
+        day = InventoryLimits(*(leaf[t] for leaf in limits))
+        parts: list[FlowInterval] = []
+        for interval in sets[-1]:
+            low, high, some, _, stops = pieces(day, interval, interpolation, tolerance)
+            some = some & ~(stops & (high - low <= tolerance))
+            high = high - 2 * tolerance * stops  # so that no other inventory reaches it by rounding
+            parts += zip(low[some].tolist(), high[some].tolist())
+        sets.append(_merge(parts, 4 * tolerance))
+    return sets[::-1]
+
+
+def _split(case: StorageCase, t: int, intervals: list[FlowInterval]) -> CaseError:
+    message = (
+        f"on {_date(case, t)} the contract can be met with {_words(intervals, 6)} in store, but "
+        "the methods can use only one of these ranges, because then or later it cannot be met with "
+        "inventories in between; let the rates differ less from row to row"
+    )
+    if case.contract.ratchets.interpolation == "step":
+        message += ', or set ratchet_interpolation = "linear"'
+    return CaseError(str(case.file), "contract.ratchets", None, message)
+
+
+def _merge(intervals: list[FlowInterval], gap: float = 0.0) -> list[FlowInterval]:
     merged: list[FlowInterval] = []
     for low, high in sorted(intervals):
-        if merged and low <= merged[-1][1]:
+        if merged and low <= merged[-1][1] + gap:
             merged[-1] = (merged[-1][0], max(merged[-1][1], high))
         else:
             merged.append((low, high))
     return merged
 
 
-def _words(intervals: list[FlowInterval]) -> str:
-    return " or ".join(
-        f"{low:.10g} to {high:.10g}" if low < high else f"{low:.10g}" for low, high in intervals
-    )
+def _words(intervals: list[FlowInterval], digits: int = 10) -> str:
+    numbers = [(f"{low:.{digits}g}", f"{high:.{digits}g}") for low, high in intervals]
+    return " or ".join(low if low == high else f"{low} to {high}" for low, high in numbers)
 
 
 def _date(case: StorageCase, t: int):

@@ -4,8 +4,8 @@ The intervals are for policies, and differentiable. Backwards from the end, an i
 if a feasible inventory can be reached from it by a flow. Between ratchet rows every condition is
 linear in the inventory, so that the feasible inventories form an interval there. Neighbouring
 intervals are joined, and the longest is selected. This interval is the complete set if I -
-withdrawal(I) and I + injection(I) do not decrease; with step ratchets it may be only the largest
-interval of the set.
+withdrawal(I) and I + injection(I) do not decrease and no flow is forced. Otherwise the set may have
+several intervals; `feasibility` refuses a case that would need more than one.
 
 JAX evaluates the formulas in a simulator, NumPy in a check of a case.
 """
@@ -42,7 +42,7 @@ def reachable(
     If a day has no feasible continuation, the smallest is above the largest on this day and on all
     days before it.
     """
-    tolerance = TOLERANCE * xp.max(xp.abs(limits.maximum), initial=1.0)
+    tolerance = tolerance_of(limits)
 
     def back(successor, day):
         return _going_on(day, successor, interpolation, tolerance)
@@ -51,8 +51,24 @@ def reachable(
     return xp.append(low, end_low), xp.append(high, end_high)
 
 
+def tolerance_of(limits: InventoryLimits):
+    """The round-off that is allowed at a limit that is met exactly."""
+    return TOLERANCE * xp.max(xp.abs(limits.maximum), initial=1.0)
+
+
 def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
     """The longest interval of a day from which the interval of the next day can be reached."""
+    return _longest(*pieces(day, successor, interpolation, tolerance)[:4])
+
+
+def pieces(day: InventoryLimits, successor, interpolation: str, tolerance):
+    """The inventories of a day from which the interval of the next day can be reached, between
+    neighbouring ratchet rows.
+
+    Five arrays, or pairs of arrays, by piece: `low`; `high`; whether the piece has such
+    inventories; whether they begin and end with the piece; and whether the piece stops before a row
+    from which the interval cannot be reached.
+    """
     next_low, next_high = successor
     # A row at a limit is the limit: with clip each would take half of the derivative.
     inner = xp.where(day.levels <= day.minimum, day.minimum, day.levels)
@@ -68,7 +84,7 @@ def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
     leave = xp.min(xp.where(endpoints >= 0, 1.0, xp.where(starts >= 0, zero, -1.0)), axis=0)
     some = (enter <= leave) & (next_low <= next_high)
     low, high = left + enter * (right - left), left + leave * (right - left)
-    touches = enter <= 0, leave >= 1
+    touches, stops = (enter <= 0, leave >= 1), xp.zeros_like(some)
     if interpolation == "step":
         # Rows that hold nowhere within the limits do not count.
         following_row = xp.append(day.levels[1:], xp.inf)
@@ -79,7 +95,8 @@ def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
         stops = touches[1][:-1] & ~goes_on & (day.levels <= day.maximum)
         spare = xp.where(high[:-1] - low[:-1] > tolerance, tolerance, 0.0)
         high = high - xp.append(xp.where(stops, spare, 0.0), 0.0)
-    return _longest(low, high, some, touches)
+        stops = xp.append(stops, False)
+    return low, high, some, touches, stops
 
 
 def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates):

@@ -306,10 +306,9 @@ def read_case(file: Path, data: Mapping[str, Any]) -> StorageCase:
     )
     check_window(case.training, [case.objective.kind], str(file))
     check_nomination(where, contract_table, case.objective.kind, products)
-    if not expired:
-        check_feasible(case)
+    unused = "" if expired else check_feasible(case)
     early = end_too_early(case.start, case.end)
-    more = (*([early] if early else []), *unit_slips(case, data), *free_money(case))
+    more = (*(note for note in (early, unused) if note), *unit_slips(case, data), *free_money(case))
     return dataclasses.replace(case, notes=(*case.notes, *more))
 
 
