@@ -192,10 +192,10 @@ def run_of(spent: float, met: str, multiplier: float | None) -> RunResult:
 def test_seeds_within_limits_come_first_and_violations_are_priced():
     within, beyond = run_of(6.0, "met nearly", 0.5), run_of(8.0, "not met", 0.5)
     far, failed = run_of(20.0, "not met", 0.1), run_of(7.0, "not met", None)
-    values = [(2.5, far), (3.0, beyond), (1.0, within), (np.nan, failed)]
-    found = [table_of._candidate(*item) for item in values]
-    assert [item.within for item in found] == [False, False, True, False]
-    assert best_first(found) == [2, 1, 0, 3]
+    values = [(np.nan, failed), (2.5, far), (3.0, beyond), (1.0, within)]
+    found = [table_of._contender(*item) for item in values]
+    assert [item.within for item in found] == [False, False, False, True]
+    assert best_first(found) == [3, 2, 1, 0]
 
 
 def test_without_other_paths_the_choice_is_told(two):

@@ -163,12 +163,17 @@ def _results(eqn, values) -> list:
             return [values[0].astype(jnp.float64 if jnp.issubdtype(kind, jnp.integer) else kind)]
         if name not in _COUNTS:
             raise TypeError(f"{name} of a count of paths")
-        whole = [jnp.issubdtype(jnp.result_type(value), jnp.integer) for value in values]
-        values = [jnp.asarray(x, jnp.float64) if is_ else x for x, is_ in zip(values, whole)]
+        values = [
+            jnp.asarray(value, jnp.float64) if _is_integer(value) else value for value in values
+        ]
         if name == "dot_general":
             params |= {"preferred_element_type": np.dtype(np.float64)}
     out = eqn.primitive.bind(*values, **params)
     return out if eqn.primitive.multiple_results else [out]
+
+
+def _is_integer(value) -> bool:
+    return jnp.issubdtype(jnp.result_type(value), jnp.integer)
 
 
 def _is_float(value) -> bool:

@@ -223,54 +223,54 @@ def limits_found(
     )  # fmt: skip
 
 
-class Candidate(NamedTuple):
+class Contender(NamedTuple):
     """A policy among several that are compared under the same limits.
 
     - `value`: the objective; `within`: whether all limits are met, or nearly met.
-    - `beyond`, `prices`: for every limit the measure minus the level, and the price of a unit of it
+    - `excess`, `prices`: for every limit the measure minus the level, and the price of a unit of it
       in training; negative for a lower limit.
     """
 
     value: float
     within: bool = True
-    beyond: tuple[float, ...] = ()
+    excess: tuple[float, ...] = ()
     prices: tuple[float, ...] = ()
 
     @classmethod
-    def of(cls, value: float, limits: Iterable[LimitFound]) -> "Candidate":
-        """The candidate of a measured policy."""
+    def of(cls, value: float, limits: Iterable[LimitFound]) -> "Contender":
+        """The contender of a measured policy."""
         limits = tuple(limits)
         within = all(item.met != NOT_MET for item in limits)
-        beyond = tuple(item.value - item.level for item in limits)
-        return cls(value, within, beyond, tuple(item.multiplier for item in limits))
+        excess = tuple(item.value - item.level for item in limits)
+        return cls(value, within, excess, tuple(item.multiplier for item in limits))
 
     @classmethod
-    def on(cls, problem: Problem, totals: Totals, source: Scenarios, dual: Dual) -> "Candidate":
-        """The candidate with these exact totals on paths of a source."""
+    def on(cls, problem: Problem, totals: Totals, source: Scenarios, dual: Dual) -> "Contender":
+        """The contender with these exact totals on paths of a source."""
         limits = problem.constraints
         results = [of_shares(value_of_groups(item.measure, totals, source)) for item in limits]
         within = all(_met(limit, totals, x) != NOT_MET for limit, x in zip(limits, results))
-        beyond = tuple(x.value - limit.level for limit, x in zip(limits, results))
+        excess = tuple(x.value - limit.level for limit, x in zip(limits, results))
         prices = tuple(limit.sign * price for limit, price in zip(limits, dual.prices))
-        return cls(value_of(problem.objective, totals), within, beyond, prices)
+        return cls(value_of(problem.objective, totals), within, excess, prices)
 
 
-def best_first(candidates: Sequence[Candidate]) -> list[int]:
+def best_first(contenders: Sequence[Contender]) -> list[int]:
     """The positions of policies, the best one first.
 
-    Policies within the limits come first, by their values. Then the others by their values minus
-    the prices of what is beyond the limits; the price of a limit is the largest that any of the
-    policies has. A policy without a finite value is last.
+    Policies within the limits come first, by their values. The others follow, by their values minus
+    the excess over each limit times its price, which is the largest one that any of the policies
+    has. A policy without a finite value is last.
     """
-    priced = [item.prices for item in candidates if item.prices]
-    prices = [max(column, key=abs) for column in zip(*priced)]
+    columns = zip(*(item.prices for item in contenders if item.prices))
+    prices = [max(filter(np.isfinite, column), key=abs, default=0.0) for column in columns]
 
     def key(position: int) -> tuple[int, float]:
-        value, within, beyond, _ = candidates[position]
-        cost = 0.0 if within else sum(a * b for a, b in zip(prices, beyond))
+        value, within, excess, _ = contenders[position]
+        cost = 0.0 if within else sum(a * b for a, b in zip(prices, excess))
         return (1 - within, cost - value) if np.isfinite(value - cost) else (2, 0.0)
 
-    return sorted(range(len(candidates)), key=key)
+    return sorted(range(len(contenders)), key=key)
 
 
 def notes_of(limits: tuple[LimitFound, ...]) -> tuple[str, ...]:

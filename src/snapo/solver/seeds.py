@@ -19,7 +19,7 @@ from . import statistics
 from .evaluate import value_of_groups
 from .learning.progress import INTERRUPTED
 from .learning.settings import Training
-from .limits import Candidate, best_first
+from .limits import Contender, best_first
 from .solution import Solution
 from .solve import Evaluation, in_order, solve
 
@@ -44,11 +44,11 @@ class Seeds:
 
     @property
     def best(self) -> int:
-        return list(self.solutions)[best_first(list(self._candidates().values()))[0]]
+        return list(self.solutions)[best_first(list(self._contenders().values()))[0]]
 
-    def _candidates(self) -> dict[int, Candidate]:
+    def _contenders(self) -> dict[int, Contender]:
         items = self.solutions.items()
-        return {seed: Candidate.of(found.value, found.constraints) for seed, found in items}
+        return {seed: Contender.of(item.value, item.constraints) for seed, item in items}
 
     def behind(self, seed: int) -> statistics.Sampled:
         """The difference between the best value and that of a seed, paired path by path."""
@@ -68,13 +68,13 @@ class Seeds:
             f"{len(values)} seeds: {values.min():.6g} to {values.max():.6g}, "
             f"mean {values.mean():.6g}{spread}; ± is half of a 95 % interval"
         ]
-        candidates = self._candidates()
+        contenders = self._contenders()
         for seed, solution in self.solutions.items():
             behind = self.behind(seed)
             amount = statistics.rounded(abs(behind.value), 3)
             side = "above" if behind.value < 0 else "below"
             below = f"{amount} {statistics.plus_minus(behind.standard_error)} {side} the best"
-            limits = "" if candidates[seed].within else ", limits not met"
+            limits = "" if contenders[seed].within else ", limits not met"
             lines.append(
                 f"  seed {seed}: {solution.value:.6g} "
                 f"{statistics.plus_minus(solution.standard_error)}, "

@@ -34,7 +34,7 @@ from .learning.log import recorded
 from .learning.progress import INTERRUPTED, Interrupted
 from .learning.settings import TrainingPlan, resolve_auto
 from .learning.starts import by_value, others, race
-from .limits import Candidate
+from .limits import Contender
 from .measure.measure import MeasuredRun, measure
 from .measure.selection import Evaluation as Evaluation
 from .provenance import Clock, versions
@@ -209,15 +209,15 @@ def _begun(
     def run(progress: Progress, until: int) -> Progress:
         return train(problem, progress, training, engine, until=until, bar=bar)
 
-    def candidate(progress: Progress) -> Candidate:
+    def contender(progress: Progress) -> Contender:
         if not problem.constraints:
             return by_value(progress)
         source, paths = problem.sources.validation, training.validation_paths
         options: dict[str, Any] = {"engine": engine, "source": source, "controls": False}
         totals = float64(path_totals(problem, progress.best, paths, **options))
-        return Candidate.on(problem, totals, source, progress.dual)
+        return Contender.on(problem, totals, source, progress.dual)
 
-    left, rounds = race(started, training.steps, run, candidate)
+    left, rounds = race(started, training.steps, run, contender)
     return replace(left, raced=rounds)
 
 

@@ -19,7 +19,7 @@ from snapo.report.record import RunRecord, entries_of
 from snapo.solver import statistics
 from snapo.solver.checkpoint import CheckpointError
 from snapo.solver.evaluate import estimate, path_totals, value_of_groups
-from snapo.solver.limits import Candidate, LimitFound, best_first
+from snapo.solver.limits import Contender, LimitFound, best_first
 from snapo.solver.solution import Solution
 from snapo.solver.tables import write_csv
 
@@ -101,11 +101,11 @@ def compared(trained: Sequence[Trained]) -> SeedComparison:
     results = [_shares(problem, setup, item) for item in trained]
     means = [np.mean(entry) if entry is not None else np.nan for entry in results]
     values = np.array(means, np.float64)
-    candidates = [_candidate(value, each.result) for value, each in zip(values, trained)]
-    best = best_first(candidates)[0]
+    contenders = [_contender(value, item.result) for value, item in zip(values, trained)]
+    best = best_first(contenders)[0]
     rows = tuple(
-        _row(each, shares, results[best], candidate.within)
-        for each, shares, candidate in zip(trained, results, candidates)
+        _row(each, shares, results[best], contender.within)
+        for each, shares, contender in zip(trained, results, contenders)
     )
     available = [result for result in results if result is not None and np.isfinite(result).all()]
     selected = values[np.isfinite(values)]
@@ -157,9 +157,13 @@ def _shares(problem: Problem, setup: Setup, item: Trained) -> np.ndarray | None:
     return shares if np.isfinite(value) else np.full_like(shares, np.nan)
 
 
-def _candidate(value: float, result: RunResult) -> Candidate:
-    limits = [{k: np.nan if x is None else x for k, x in item.items()} for item in result.limits]
-    return Candidate.of(float(value), (LimitFound(**item) for item in limits))
+def _contender(value: float, result: RunResult) -> Contender:
+    unknown = dict[str, Any](value=np.nan, level=np.nan, multiplier=np.nan)
+    limits = [
+        LimitFound(**item | {name: x for name, x in unknown.items() if item[name] is None})
+        for item in result.limits
+    ]
+    return Contender.of(float(value), limits)
 
 
 def _row(

@@ -12,7 +12,7 @@ import snapo
 from snapo.solver.evaluate import path_totals
 from snapo.solver.learning import starts
 from snapo.solver.learning.progress import Interrupted
-from snapo.solver.limits import Candidate, Dual, LimitFound, best_first
+from snapo.solver.limits import Contender, Dual, LimitFound, best_first
 from snapo.solver.seeds import Seeds
 from snapo.solver.solution import Solution
 from snapo.solver.train import initial_progress
@@ -29,18 +29,18 @@ from snapo.solver.train import initial_progress
     ],
 )
 def test_policies_within_limits_come_first(values, within, order):
-    assert best_first([Candidate(*item) for item in zip(values, within)]) == order
+    assert best_first([Contender(*item) for item in zip(values, within)]) == order
 
 
-def test_beyond_limits_the_priced_value_decides():
+def test_outside_limits_the_priced_value_decides():
     """An upper limit with the price 0.5 and a lower one with -2; the third policy has no price in
     training, and pays those of the others: 3 - 1, 4 - 2 - 2, 2.5 - 0."""
-    candidates = [
-        Candidate(3.0, False, (2.0, 0.0), (0.5, -1.0)),
-        Candidate(4.0, False, (4.0, -1.0), (0.1, -2.0)),
-        Candidate(2.5, False, (0.0, 0.0), (0.0, 0.0)),
+    contenders = [
+        Contender(3.0, False, (2.0, 0.0), (0.5, -1.0)),
+        Contender(4.0, False, (4.0, -1.0), (0.1, -2.0)),
+        Contender(2.5, False, (0.0, 0.0), (0.0, 0.0)),
     ]
-    assert best_first(candidates) == [2, 0, 1]
+    assert best_first(contenders) == [2, 0, 1]
 
 
 def test_a_race_keeps_a_start_within_limits():
@@ -50,10 +50,10 @@ def test_a_race_keeps_a_start_within_limits():
     def run(progress, until):
         return replace(progress, step=until)
 
-    def candidate(progress):
-        return Candidate(progress.best_value, progress.best_value < 4.5)
+    def contender(progress):
+        return Contender(progress.best_value, progress.best_value < 4.5)
 
-    left, rounds = starts.race(begun, 200, run, candidate)
+    left, rounds = starts.race(begun, 200, run, contender)
     assert left.best_value == 4.0
     assert [number for number, _ in rounds[0].values] == [2, 0, 3, 1]
 
@@ -63,7 +63,7 @@ def test_a_race_keeps_a_start_within_limits():
         return run(progress, until)
 
     with pytest.raises(Interrupted) as stop:
-        starts.race(begun, 200, interrupted, candidate)
+        starts.race(begun, 200, interrupted, contender)
     assert stop.value.result.best_value == 4.0
 
 
@@ -93,8 +93,8 @@ def test_the_best_of_seeds_is_within_the_limits():
     all_three = Seeds({1: valued(2.0, 0.5), 2: valued(1.5, 0.5), 3: valued(3.0, 0.1)})
     assert all_three.best == 2
     assert "above the best, limits not met" in str(all_three)
-    beyond = Seeds({3: all_three.solutions[3], 1: all_three.solutions[1]})
-    assert beyond.best == 1
+    others = Seeds({3: all_three.solutions[3], 1: all_three.solutions[1]})
+    assert others.best == 1
 
 
 @pytest.mark.prove
@@ -103,11 +103,11 @@ def test_starts_are_compared_by_the_limits_on_validation_paths():
     of = snapo.Problem(Spend(), INPUTS, snapo.Mean("earned"), constraints=limits)
     source, dual = of.sources.validation, Dual(prices=(0.5, 0.25))
     totals = path_totals(of, Spending(2.0), 4096, source=source)
-    found = Candidate.on(of, totals, source, dual)
+    found = Contender.on(of, totals, source, dual)
     assert not found.within and found.prices == (0.5, -0.25)
     assert found.value == pytest.approx(8.0, abs=0.1)
-    assert found.beyond == pytest.approx((2.0, 1.0), abs=0.1)
-    assert Candidate.on(
+    assert found.excess == pytest.approx((2.0, 1.0), abs=0.1)
+    assert Contender.on(
         of, path_totals(of, Spending(1.5), 4096, source=source), source, dual
     ).within
     training = snapo.Training(steps=20, starts=2, paths=64, validation_paths=256)
@@ -116,9 +116,9 @@ def test_starts_are_compared_by_the_limits_on_validation_paths():
     assert any("Of 2 starts" in note for note in solution.notes)
 
 
-def test_limits_of_a_measured_policy_make_a_candidate():
+def test_limits_of_a_measured_policy_make_a_contender():
     limit = LimitFound("spent", 6.0, 6.5, 0.1, 6.3, 6.7, 0.5, 0.01, 0.5, "not met")
     lower = limit._replace(level=7.0, multiplier=-0.2, met="met nearly")
-    expected = Candidate(1.0, False, (0.5, -0.5), (0.5, -0.2))
-    assert Candidate.of(1.0, (limit, lower)) == expected
-    assert Candidate.of(1.0, (lower,)).within
+    expected = Contender(1.0, False, (0.5, -0.5), (0.5, -0.2))
+    assert Contender.of(1.0, (limit, lower)) == expected
+    assert Contender.of(1.0, (lower,)).within

@@ -150,7 +150,7 @@ def scale_of(policy: Policy, problem: Problem) -> FeatureScale | None:
 
 def fixed(problem: Problem) -> FeatureScale | None:
     """The scale over time and paths of features that no decision affects; None if there is none."""
-    moved = moved_by_decisions(problem)
+    moved = affected_by_decisions(problem)
     if all(jax.tree.leaves(moved)) and not jax.tree.leaves(problem.schedule.steps):
         return None
     simulator, schedule, horizon = problem.simulator, problem.schedule, problem.simulator.horizon
@@ -206,7 +206,7 @@ def _set(states: PyTree, moved: PyTree, number: float) -> PyTree:
     return jax.tree.map(lambda leaf, flag: one(np.asarray(leaf), flag), states, moved)
 
 
-def moved_by_decisions(problem: Problem) -> PyTree:
+def affected_by_decisions(problem: Problem) -> PyTree:
     """For each leaf of the state whether a decision moves it, now or later."""
     simulator, schedule = problem.simulator, problem.schedule
     constants = schedule.constants

@@ -30,7 +30,7 @@ from snapo.problem.policy import MLP, Network, Policy, without_memory
 from snapo.problem.problem import Problem
 from snapo.problem.simulator import Around, Simulator
 
-from ..limits import Candidate, best_first
+from ..limits import Contender, best_first
 from ..train import Training, initial_progress, train
 from .progress import Interrupted, Progress, Round
 
@@ -141,22 +141,22 @@ def others(policy: Policy, count: int, seed: int) -> list[Policy]:
     return [policy, *(_redrawn(policy, item) for item in rng[1:])]
 
 
-def by_value(progress: Progress) -> Candidate:
-    """The candidate of a start in a problem without limits."""
-    return Candidate(float(progress.best_value))
+def by_value(progress: Progress) -> Contender:
+    """The contender of a start in a problem without limits."""
+    return Contender(float(progress.best_value))
 
 
 def race(
     started: list[Progress],
     steps: int,
     run: Callable[[Progress, int], Progress],
-    candidate: Callable[[Progress], Candidate] = by_value,
+    contender: Callable[[Progress], Contender] = by_value,
 ) -> tuple[Progress, tuple[Round, ...]]:
     """The start that remains, and the rounds in which the others were dropped.
 
     - `started`: the starts before their first step.
     - `steps`: the steps of a whole run; `run(progress, until)` trains up to step `until` and
-      validates; `candidate(progress)`: what starts are compared by.
+      validates; `contender(progress)` is compared with those of the other starts.
     """
     every = max(1, round(ROUND * steps))
     left, rounds = dict(enumerate(started)), []
@@ -167,10 +167,10 @@ def race(
                 left[number] = run(item, until)
             except Interrupted as stop:
                 done = [*left.values(), stop.result]
-                best = done[best_first(list(map(candidate, done)))[0]]
+                best = done[best_first(list(map(contender, done)))[0]]
                 raise Interrupted(best, stop.notes) from None
         values = {number: float(entry.best_value) for number, entry in left.items()}
-        order = best_first(list(map(candidate, left.values())))
+        order = best_first(list(map(contender, left.values())))
         ranked = [list(left)[position] for position in order]
         rounds.append(Round(until, tuple((number, values[number]) for number in ranked)))
         left = {number: left[number] for number in ranked[: (len(left) + 1) // 2]}

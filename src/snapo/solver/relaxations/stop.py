@@ -145,7 +145,7 @@ def _shifts(draws: Draws, horizon: int, size: int) -> Array:
     if isinstance(draws, Counter):
         keys, paths = draws.keys ^ np.uint32(SHIFTS), draws.paths
     else:  # without numbers: the noise of a block identifies its paths
-        digest = sha256(np.ascontiguousarray(draws.step_noise)).digest()
+        digest = sha256(np.asarray(draws.step_noise).tobytes()).digest()
         keys = np.frombuffer(digest, np.uint32)[:4].reshape(2, 2)
         paths = np.arange(draws.size, dtype=np.uint32)
     counter = Counter(keys, paths, np.uint32(0), antithetic=False)  # pyright: ignore

@@ -27,7 +27,7 @@ from snapo.problem.scenarios import Scenarios
 from snapo.problem.simulator import at
 from snapo.problem.smooth import Exact
 
-from ..learning.features import moved_by_decisions
+from ..learning.features import affected_by_decisions
 
 PATHS = 16  # on which the rights are compared with those at the start, if none is used
 
@@ -126,7 +126,7 @@ def _right(problem: Problem, action: Stop) -> int:
     waits = np.zeros((simulator.horizon, len(paths), action.size))
     rollout = engine.values(None, draws, Exact(), actions=waits, record=("state",))
     states, start = jax.tree.leaves(states_of(rollout)), np.asarray(action.initial())
-    flags = jax.tree_util.tree_leaves_with_path(moved_by_decisions(problem))
+    flags = jax.tree_util.tree_leaves_with_path(affected_by_decisions(problem))
     moved = [i for i, (_, flag) in enumerate(flags) if flag]
     for i in moved:
         if states[i].shape[2:] != (action.rights,) or np.any(states[i] != start):
