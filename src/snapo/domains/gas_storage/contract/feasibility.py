@@ -21,12 +21,12 @@ from snapo.case.error import CaseError
 from snapo.case.given import CaseInput
 from snapo.problem.record.either import with_numpy
 
-from .reachable import InventoryLimits, pieces, reachable, tolerance_of
+from .reachable import InventoryLimits, reachable, segments, tolerance_of
 from .records import StorageCase
 from .terms import end_interval, inventory_limits
 
 FlowInterval = tuple[float, float]
-FEW = 0.02  # of the largest inventory: narrower intervals cost little if they are not used
+FEW = 0.02  # of the largest inventory; narrower intervals may stay unused
 
 
 @dataclass(frozen=True)
@@ -238,7 +238,7 @@ def feasible_sets(
         day = InventoryLimits(*(leaf[t] for leaf in limits))
         parts: list[FlowInterval] = []
         for interval in sets[-1]:
-            low, high, some, _, stops = pieces(day, interval, interpolation, tolerance)
+            low, high, some, _, stops = segments(day, interval, interpolation, tolerance)
             some = some & ~(stops & (high - low <= tolerance))
             high = high - 2 * tolerance * stops  # so that no other inventory reaches it by rounding
             parts += zip(low[some].tolist(), high[some].tolist())

@@ -58,10 +58,10 @@ def tolerance_of(limits: InventoryLimits):
 
 def _going_on(day: InventoryLimits, successor, interpolation: str, tolerance):
     """The longest interval of a day from which the interval of the next day can be reached."""
-    return _longest(*pieces(day, successor, interpolation, tolerance)[:4])
+    return _longest(*segments(day, successor, interpolation, tolerance)[:4])
 
 
-def pieces(day: InventoryLimits, successor, interpolation: str, tolerance):
+def segments(day: InventoryLimits, successor, interpolation: str, tolerance):
     """The inventories of a day from which the interval of the next day can be reached, between
     neighbouring ratchet rows.
 
@@ -100,7 +100,7 @@ def pieces(day: InventoryLimits, successor, interpolation: str, tolerance):
 
 
 def _conditions(day: InventoryLimits, inventory, next_low, next_high, rates):
-    """Four numbers [4, pieces] that must not be negative for an inventory to be feasible."""
+    """Four numbers [4, segments] that must not be negative for an inventory to be feasible."""
     withdrawal, injection = rates
     selected = inventory * (1 - day.inventory_loss)
     minimum = xp.where(day.min_injection > 0, day.min_injection, -withdrawal)
@@ -142,7 +142,7 @@ def _between(inventory, levels, rates):
 
 
 def _longest(low, high, some, touches):
-    """Joins neighbouring pieces that touch, and selects the longest joined piece."""
+    """Joins neighbouring segments that touch, and selects the longest joined piece."""
     enters, leaves = touches
     joined = xp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
     # A run begins at its last piece that is not joined to the one before.
