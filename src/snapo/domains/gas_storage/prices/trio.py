@@ -107,7 +107,8 @@ class CommodityTrio(CommodityPair):
     def second_price(self):
         fuel, none = super().second_price().index, np.zeros(0)
         certificate: Any = self.third_curve.used(), none, none
-        return KnownPrices(FuelRows(fuel, SecondRows(*certificate), self.share.used()))
+        share: Any = self.share.used()
+        return KnownPrices(FuelRows(fuel, SecondRows(*certificate), share))
 
     def index(self, constants, now, state):
         return now.index.price(state)
