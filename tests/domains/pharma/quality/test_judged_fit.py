@@ -24,7 +24,8 @@ class Curve:
         self.curve, self.inputs = curve, {"kinetics.prefactor": np.array(start, float)}
         labels = tuple(f"k{i + 1}" for i in range(len(start)))
         given = SimpleNamespace(name="kinetics.prefactor", labels=labels, unit="1/s")
-        self.case = SimpleNamespace(network=None, given=given)
+        numerics = SimpleNamespace(method="mesh")
+        self.case = SimpleNamespace(network=None, given=given, numerics=numerics)
 
     def shifted(self, changes, entries, inputs):
         found = dict(inputs)
