@@ -100,7 +100,7 @@ def test_sets_of_actions_have_spaces():
 @pytest.mark.prove
 def test_an_objective_without_rewards_is_refused():
     problem = snapo.Problem(Walk(), None, snapo.CVaR("cash", 0.9))
-    with pytest.raises(ValueError, match="CVaR of cash"):
+    with pytest.raises(ValueError, match="CVaR of cash is not a sum of rewards"):
         snapo.gym.Environment(problem)
 
 
