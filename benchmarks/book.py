@@ -26,7 +26,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from snapo.book.executors import worker_pools
+from snapo.book.executors import start_worker, worker_pools
 from snapo.book.file import read_book
 from snapo.book.job import BookJob, Cost, JobResult, opened
 from snapo.book.run import plan_of, run_book
@@ -35,7 +35,6 @@ from snapo.engine import Engine, Workers
 from snapo.engine.workers import results
 from snapo.solver.train import Progress, initial_progress, train
 from snapo.study.domain import CaseRequest, Options, find, load
-from snapo.study.prepare import keep_memory
 
 from .machine import machine
 
@@ -113,7 +112,7 @@ def shapes() -> list[str]:
         {"name": "other days", "contract.start": "2021-04-01", "contract.end": "2022-03-02"},
         *[row | {"name": f"judged {row['name']}"} for row in rows(4)[2:]],
     ]
-    as_worker()
+    start_worker(min(os.sched_getaffinity(0)))
     with tempfile.TemporaryDirectory() as folder:
         os.environ["XDG_CACHE_HOME"] = folder
         file = write_book(Path(folder), contracts, STRESSES, "judge = 0\n")
@@ -159,13 +158,6 @@ def shapes() -> list[str]:
             for x in table
         ),
     ]
-
-
-def as_worker() -> None:
-    """This process keeps to one core and keeps its memory, as a worker does."""
-    keep_memory()
-    if hasattr(os, "sched_setaffinity"):
-        os.sched_setaffinity(0, {min(os.sched_getaffinity(0))})
 
 
 def idle(job: bytes, seconds: float = 0.25) -> bytes:

@@ -65,10 +65,10 @@ def test_two_shards_may_start_at_once(tmp_path, monkeypatch):
     """A second one prepares the folder while the first one writes book.json."""
     write, out = folders.write_text, tmp_path / "out"
 
-    def slow(file, text):
+    def slow(file, text, **options):
         monkeypatch.setattr(folders, "write_text", write)
         BookFolder(out).prepare({}, keep=True)
-        write(file, text)
+        write(file, text, **options)
 
     monkeypatch.setattr(folders, "write_text", slow)
     BookFolder(out).prepare({}, keep=True)

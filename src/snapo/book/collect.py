@@ -392,7 +392,7 @@ def _write_points(file: Path, results: Results) -> None:
         for name in names:
             cells += [outputs.get(name, {}).get(key) for key in ("value", "standard_error")]
         lines.append(["" if x is None else x for x in (*cells, row["note"])])
-    write_csv(file, [*header, *numbers, *columns, "note"], lines)
+    write_csv(file, [*header, *numbers, *columns, "note"], lines, shared=True)
 
 
 def file_name(case: str) -> str:

@@ -48,35 +48,30 @@ class JobContract:
         check_tables(moves, self.tables)
         settings = [f"{key_as_in(self.tables, x.key)}={x.value}" for x in moves if x.value]
         scaled = [move for move in moves if not move.value]
-        tables, case = self.tables, self.case
+        tables, case, of = self.tables, self.case, self.study.inputs
         if settings:
             tables, _ = assigned(tables, settings)
             case = self.domain.read(self.file, tables)
         if settings and scaled:
-            inputs = self._inputs(case)
+            inputs = self._setup_of(case).problem.inputs_by_name if of is None else of(case)
         values = moved_numbers(case, inputs, scaled)
         if not values:
             return case
         files = read_files(self.file.parent, tables)
-        of = self.study.inputs
         return InputPositions(self.domain.read, files, inputs, of, case).case_at(values).case
 
-    def _inputs(self, case: Any) -> Mapping[str, Input]:
-        """The inputs of a case of this contract with other keys."""
-        if self.study.inputs is not None:
-            return self.study.inputs(case)
-        setup = self.domain.study(case, Options()).setup
-        assert setup is not None
-        return setup().problem.inputs_by_name
+    def _setup_of(self, case: Any) -> Setup:
+        """The setup of a case of this contract with other keys."""
+        make_setup = self.domain.study(case, Options()).setup
+        assert make_setup is not None
+        return make_setup()
 
     def setup_under(self, moves: tuple[StressMove, ...], case: Any, setup: Setup) -> Setup:
         """The setup of the case under a stress. If the stress sets more than terms and numbers,
         such as the objective, nothing of the `setup` of the contract can be used."""
         keys = (key_as_in(self.tables, move.key) for move in moves if move.value)
         if any(key.partition(".")[0] in SETTINGS for key in keys):
-            make_setup = self.domain.study(case, Options()).setup
-            assert make_setup is not None
-            return make_setup()
+            return self._setup_of(case)
         assert self.study.setup_at is not None
         return self.study.setup_at(setup, case)
 

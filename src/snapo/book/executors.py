@@ -49,10 +49,10 @@ def _processes(workers: int | None) -> list[WorkerPool]:
 
 def _process(core: int) -> Executor:
     context = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(1, mp_context=context, initializer=_started, initargs=(core,))
+    return ProcessPoolExecutor(1, mp_context=context, initializer=start_worker, initargs=(core,))
 
 
-def _started(core: int) -> None:
+def start_worker(core: int) -> None:
     """A worker uses one core for its kernels and for XLA, does not return its memory to the system,
     and ends with its driver, because nothing else would end it if the driver is killed."""
     from snapo.study.prepare import keep_memory

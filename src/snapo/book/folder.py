@@ -10,9 +10,7 @@ report.html
 """
 
 import json
-import os
 import shutil
-import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
@@ -21,6 +19,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError
 
 from snapo.case.error import CaseError
 from snapo.case.table import not_utf8
+from snapo.problem.carry.arrays import replacing
 from snapo.report.record import EMPTY
 from snapo.solver.tables import write_text
 from snapo.study.run_folder import BOOK
@@ -215,7 +214,7 @@ class BookFolder:
             (self.path / name).unlink(missing_ok=True)
         (self.path / ANSWERS).mkdir(parents=True, exist_ok=True)
         table = {"layout": LAYOUT, "kind": "book", **record}
-        write_text(self.path / BOOK, json.dumps(table, indent=1, default=str))
+        write_text(self.path / BOOK, json.dumps(table, indent=1, default=str), shared=True)
 
     def _others(self) -> Iterator[Path]:
         """The files that no book has. Another shard may be about to write book.json."""
@@ -283,14 +282,8 @@ class BookFolder:
         """Writes the result of the job of this name. **Raises:** `OSError`, on a full disk."""
         file = self._result_file(name)
         file.parent.mkdir(exist_ok=True)
-        handle, temporary = tempfile.mkstemp(dir=file.parent, prefix=".")
-        try:
-            with os.fdopen(handle, "wb") as stream:
-                stream.write(data)
-            os.replace(temporary, file)
-        except BaseException:
-            Path(temporary).unlink(missing_ok=True)
-            raise
+        with replacing(file, shared=True) as partial:
+            partial.write_bytes(data)
 
     def read(self, name: str) -> tuple[JobResult, Cost] | None:
         """The result of the job of this name; None if there is no complete one."""

@@ -1,11 +1,10 @@
 """Parquet tables of a book, a file for each contract or for several, and queries on them."""
 
-import os
-import secrets
 from pathlib import Path
 from typing import Any
 
 from snapo.case.error import CaseError
+from snapo.problem.carry.arrays import replacing
 
 from .folder import TABLES
 
@@ -56,9 +55,8 @@ class TableWriter:
             if parts:
                 table = pa.concat_tables(parts, promote_options="permissive")
                 file = self.path / kind / f"{name}.parquet"
-                temporary = file.with_suffix(f".{os.getpid()}-{secrets.token_hex(4)}.part")
-                parquet.write_table(table, temporary, compression="zstd")
-                temporary.replace(file)
+                with replacing(file, shared=True) as partial:
+                    parquet.write_table(table, partial, compression="zstd")
         self.waiting, self.names = [], []
 
 

@@ -163,8 +163,8 @@ def write_results(
     results = collect(plan, folder, lost)
     cost["seconds"]["total"] = time.perf_counter() - began
     result = results.table() | cost
-    write_text(folder.path / RESULT, _to_json(result))
-    write_text(folder.path / REPORT, render(page(result, folder.record())))
+    write_text(folder.path / RESULT, _to_json(result), shared=True)
+    write_text(folder.path / REPORT, render(page(result, folder.record())), shared=True)
     return result
 
 

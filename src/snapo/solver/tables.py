@@ -2,9 +2,7 @@
 
 import datetime
 import math
-import os
 import re
-import secrets
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from html import escape
 from pathlib import Path
@@ -12,21 +10,25 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from snapo.problem.carry.arrays import replacing
+
 # Files of a solution.
 POLICY, HALFWAY, SOLUTION = "policy.npz", "halfway.npz", "solution.npz"
 SENSITIVITIES, VERDICTS = "sensitivities.csv", "verdicts.csv"
 HISTORY, RESULT, GROWTH = "history.csv", "result.json", "adjoints.csv"
 
 
-def write_csv(file: Path, header: Iterable[str], rows: Iterable[Iterable[Any]]) -> None:
-    """A table with a header; numbers keep all their digits."""
+def write_csv(
+    file: Path, header: Iterable[str], rows: Iterable[Iterable[Any]], *, shared: bool = False
+) -> None:
+    """A table with a header; numbers keep all their digits. `shared` as in `write_text`."""
 
     def lines() -> Iterable[str]:
         yield ",".join(header)
         for row in rows:
             yield ",".join(_csv_cell(value) for value in row)
 
-    write_text(file, "\n".join(lines()) + "\n")
+    write_text(file, "\n".join(lines()) + "\n", shared=shared)
 
 
 def _csv_cell(value: Any) -> str:
@@ -36,15 +38,10 @@ def _csv_cell(value: Any) -> str:
     return '"' + text.replace('"', '""') + '"' if any(c in text for c in ',"\n') else text
 
 
-def write_text(file: Path, text: str) -> None:
-    """Writes a file atomically, whoever else writes it."""
-    partial = file.with_name(f".{file.name}.{os.getpid()}-{secrets.token_hex(4)}.partial")
-    try:
+def write_text(file: Path, text: str, *, shared: bool = False) -> None:
+    """Writes a file atomically. `shared`: whether other processes may write it at the same time."""
+    with replacing(file, shared) as partial:
         partial.write_text(text, encoding="utf-8")
-        partial.replace(file)
-    except BaseException:
-        partial.unlink(missing_ok=True)
-        raise
 
 
 BACKENDS = ("pandas", "polars", "pyarrow")

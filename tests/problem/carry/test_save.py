@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import snapo
-from snapo.problem.carry.arrays import read_arrays, write_arrays
+from snapo.problem.carry.arrays import read_arrays, replacing, write_arrays
 from snapo.problem.policy import Network, Policy
 
 KEY = jax.random.key(3)
@@ -132,3 +132,16 @@ def test_a_file_with_pickles_is_refused(tmp_path):
     with pytest.raises(snapo.PolicyFileError):
         snapo.load_policy(file)
     assert jnp.asarray(1) == 1
+
+
+def test_two_writers_of_one_file_do_not_meet_and_a_failure_changes_nothing(tmp_path):
+    file = tmp_path / "table.csv"
+    with replacing(file, shared=True) as first, replacing(file, shared=True) as second:
+        first.write_text("first")
+        second.write_text("second")
+    assert file.read_text() == "first"  # its block ends last
+    for shared in (False, True):
+        with pytest.raises(OSError), replacing(file, shared) as partial:
+            partial.write_text("half")
+            raise OSError
+    assert file.read_text() == "first" and list(tmp_path.iterdir()) == [file]

@@ -2,7 +2,9 @@
 
 import json
 import os
-from collections.abc import Mapping
+import secrets
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -12,12 +14,25 @@ import numpy as np
 def write_arrays(file: Path, arrays: Mapping[str, np.ndarray], header: Any) -> None:
     """Writes through a temporary file next to the target; `header` is data for JSON."""
     text = np.frombuffer(json.dumps(header).encode(), np.uint8)
-    partial = file.with_name(file.name + ".partial")
-    with partial.open("wb") as stream:
+    with replacing(file) as partial, partial.open("wb") as stream:
         np.savez(stream, header=text, **arrays)  # pyright: ignore[reportArgumentType]
         stream.flush()
         os.fsync(stream.fileno())
-    partial.replace(file)
+
+
+@contextmanager
+def replacing(file: Path, shared: bool = False) -> Iterator[Path]:
+    """A new file, to be written in the block, which then replaces `file` as a whole; if the block
+    fails, `file` does not change. `shared`: whether several processes may write it at once, each
+    under another name; otherwise a file that a killed process has left is used again."""
+    unique = f".{file.name}.{os.getpid()}-{secrets.token_hex(4)}.partial"
+    partial = file.with_name(unique if shared else f"{file.name}.partial")
+    try:
+        yield partial
+        partial.replace(file)
+    except BaseException:
+        partial.unlink(missing_ok=True)
+        raise
 
 
 def read_arrays(file: Path) -> tuple[dict[str, np.ndarray], Any]:

@@ -65,9 +65,9 @@ def segments(day: InventoryLimits, successor, interpolation: str, tolerance):
     """The inventories of a day from which the interval of the next day can be reached, between
     neighbouring ratchet rows.
 
-    Five arrays, or pairs of arrays, by piece: `low`; `high`; whether the piece has such
-    inventories; whether they begin and end with the piece; and whether the piece stops before a row
-    from which the interval cannot be reached.
+    Five arrays, or pairs of arrays, by segment: `low`; `high`; whether the segment has such
+    inventories; whether they begin and end with the segment; and whether the segment stops before a
+    row from which the interval cannot be reached.
     """
     next_low, next_high = successor
     # A row at a limit is the limit: with clip each would take half of the derivative.
@@ -142,10 +142,10 @@ def _between(inventory, levels, rates):
 
 
 def _longest(low, high, some, touches):
-    """Joins neighbouring segments that touch, and selects the longest joined piece."""
+    """Joins neighbouring segments that touch, and selects the longest joined one."""
     enters, leaves = touches
     joined = xp.append(False, some[:-1] & some[1:] & leaves[:-1] & enters[1:])
-    # A run begins at its last piece that is not joined to the one before.
+    # A run begins at its last segment that is not joined to the one before.
     first = running_maximum(xp.where(joined, 0, xp.arange(low.shape[0])))
     start = low[first]
     selected = xp.argmax(xp.where(some, high - start, -1.0))
